@@ -1,0 +1,341 @@
+"""The cars model against its closed forms, its Floquet matrix and a plain loop."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from reference import plain_cars
+
+import traffic_road as tr
+from traffic_road.errors import SceneError, StabilityError
+from traffic_road.models import cars
+from traffic_road.schemes.oscillator import propagator
+from traffic_road.theory import dispersion, fleet_dispersion, floquet
+from traffic_road.theory.floquet import floquet_matrix
+
+K = 0.9
+
+
+def scene(*, count=8, softness=0.006, diffusivity=0.01, damping=0.1, amplitude=1e-3, duration=400.0, **fleet):
+    return tr.Scene(
+        tr.Road(2 * np.pi / K, softness, diffusivity, tr.Sine(amplitude, K)),
+        tr.Fleet(count, damping, **fleet),
+        duration,
+    )
+
+
+def run(scene, times, **numerics):
+    numerics = cars.numerics(scene, numerics)
+    return list(cars.samples(scene, cars.sample_times(scene, times, numerics), numerics))
+
+
+def late_sigma(samples):
+    """Complex growth rate of the ring's first wave over the later half of the samples."""
+    wave = np.array([np.fft.rfft(s.road_height)[1] for s in samples[len(samples) // 2 :]])
+    span = samples[-1].time - samples[len(samples) // 2].time
+    return (np.log(np.abs(wave[-1] / wave[0])) + 1j * np.ptp(np.unwrap(np.angle(wave))) * -1) / span
+
+
+def slope(x, y):
+    return np.polyfit(np.log(x), np.log(np.abs(y)), 1)[0]
+
+
+def closed_form(headway, softness=0.02):
+    return dispersion(K, softness=softness, diffusivity=0.0, damping=0.1, headway=headway)
+
+
+def scheme(rows, hold, headway, *, softness=0.02, diffusivity=0.0, relax_every=1):
+    count = round(2 * np.pi / K / headway)
+    case = scene(count=count, softness=softness, diffusivity=diffusivity)
+    return floquet(case, K, nodes=rows * count, hold=hold, relax_every=relax_every)
+
+
+@pytest.mark.parametrize(
+    ("count", "rows", "hold", "relax_every"),
+    [
+        (8, 8, 3, 1),
+        (8, 8, 1, 1),
+        (8, 16, 5, 2),
+        (8, 32, 1, 4),
+        (8, 5, 3, 3),
+        (4, 64, 3, 1),
+        (5, 7, 5, 1),
+        (3, 12, 1, 7),
+    ],
+)
+def test_run_grows_at_the_rate_of_the_floquet_matrix(count, rows, hold, relax_every):
+    case = scene(count=count)
+    numerics = {"nodes": count * rows, "hold": hold, "relax_every": relax_every}
+    # 600 time units: the cars' own transients, exp(-0.1 t), are below 1e-13 in the later half
+    sigma = late_sigma(run(case, np.linspace(0, 600, 121), **numerics))
+    assert sigma == pytest.approx(floquet(case, K, **numerics), rel=1e-9)
+
+
+def test_run_without_lift_off_rule_grows_through_lift_off_amplitude():
+    case = replace(scene(amplitude=2.0), lift_off=False)
+    samples = run(case, np.linspace(0, 600, 121), nodes=64, hold=3)
+    assert min(s.contact_force.min() for s in samples) < -1
+    assert late_sigma(samples) == pytest.approx(floquet(case, K, nodes=64, hold=3), rel=1e-9)
+
+
+@pytest.mark.parametrize(("hold", "rows", "bar"), [(1, 64, 1e-4), (3, 32, 1e-6), (5, 16, 1e-6)])
+@pytest.mark.parametrize("count", [4, 8])
+def test_growth_without_diffusion_is_the_closed_form(hold, rows, bar, count):
+    case = scene(count=count, softness=0.02, diffusivity=0.0, amplitude=1e-6)
+    sigma = late_sigma(run(case, np.linspace(0, 300, 121), nodes=count * rows, hold=hold))
+    assert sigma == pytest.approx(closed_form(case.headway), rel=bar)
+
+
+@pytest.mark.parametrize(
+    ("hold", "rows", "width"),
+    [(1, (8, 12, 16, 24, 32), 0.1), (3, (8, 12, 16, 24, 32), 0.15), (5, (6, 8, 10, 12, 16), 0.3)],
+)
+def test_order_in_the_grid(hold, rows, width):
+    headway = 2 * np.pi / K / 4
+    error = [scheme(r, hold, headway) - closed_form(headway) for r in rows]
+    assert slope(headway / np.array(rows), error) == pytest.approx(hold + 1, abs=width)
+
+
+def test_order_in_the_headway_against_the_continuum():
+    count = np.array([8, 12, 16, 24, 32, 48])
+    headway = 2 * np.pi / K / count
+    cubic = dispersion(K, softness=0.02, diffusivity=0.01, damping=0.1)
+    error = [scheme(16, 5, h, diffusivity=0.01) - cubic for h in headway]
+    assert slope(headway, error) == pytest.approx(2.0, abs=0.1)
+    # without diffusion the coefficient, too, is known: -(alpha^3 l^2 / 12) R^3 / (1 + alpha R')
+    cubic = dispersion(K, softness=0.02, diffusivity=0.0, damping=0.1)
+    s = cubic + 1j * K
+    R = s**2 / (s**2 + 0.2 * s + 1)
+    dR = 2 * s * (1 + 0.1 * s) / (s**2 + 0.2 * s + 1) ** 2
+    expected = -(0.02**3) * headway**2 / 12 * R**3 / (1 + 0.02 * dR)
+    found = closed_form(headway) - cubic
+    assert slope(headway, found) == pytest.approx(2.0, abs=0.02)
+    np.testing.assert_allclose(found[-1], expected[-1], rtol=1e-3)  # the next order is smaller by (alpha l)^2 R^2
+
+
+def test_order_in_the_relaxation_interval():
+    # reference: the continuum's cubic; at 128 cars a wavelength their own headway counts for 4^-2 of the smallest interval
+    count, every = 128, np.array([8, 16, 32, 64])
+    cubic = dispersion(K, softness=0.02, diffusivity=0.05, damping=0.1)
+    headway = 2 * np.pi / K / count
+    error = [scheme(4, 3, headway, diffusivity=0.05, relax_every=int(n)) - cubic for n in every]
+    assert slope(every, error) == pytest.approx(2.0, abs=0.15)
+
+
+@pytest.mark.parametrize("diffusivity", [0.05, tr.Exponential(0.05, 0.5)])
+@pytest.mark.parametrize("softness", [0.01, tr.Exponential(0.01, 0.5)])
+def test_order_of_the_road_in_the_relaxation_interval(softness, diffusivity):
+    # in L2 and in each wave; at a single point the steps that the wheels leave keep it near 1.6
+    count, every = 128, np.array([8, 16, 32, 64])
+    case = scene(count=count, softness=softness, diffusivity=diffusivity, amplitude=0.5)
+    times = [0, 128 * case.headway]
+    finest = run(case, times, nodes=2 * count, relax_every=1)[-1].road_height
+    error = [run(case, times, nodes=2 * count, relax_every=int(n))[-1].road_height - finest for n in every]
+    # the finest run misses the limit by 1/n^2 of the run at n: fitted against n^2 - 1, its exact share
+    norm = np.linalg.norm(error, axis=1)
+    wave = np.abs(np.fft.rfft(error, axis=1)[:, 1:4]).T
+    for size in (norm, *wave):
+        assert slope(np.sqrt(every**2 - 1.0), size) == pytest.approx(2.0, abs=0.15)
+
+
+def test_mean_sink_is_softness_times_mean_force():
+    # one node a headway and one sample a headway: every passage is a sample
+    case = scene(count=32, amplitude=0.05)
+    headways = 300
+    samples = run(case, np.arange(headways + 1) * case.headway, nodes=32, hold=1)
+    force = np.array([s.contact_force for s in samples[1:]])
+    assert force.min() > 0.1 and force.std() > 0.05
+    sunk = samples[0].road_height.mean() - samples[-1].road_height.mean()
+    assert sunk == pytest.approx(0.006 * samples[-1].time * force.mean(), rel=1e-12)
+
+
+@pytest.mark.parametrize("hold", [1, 3, 5])
+@pytest.mark.parametrize("softness", [0.02, tr.Exponential(0.02, 0.7), tr.Bounded(0.02, 0.5)])
+@pytest.mark.parametrize("amplitude", [1e-3, 1.5])
+def test_even_kernel_is_the_plain_loop(hold, softness, amplitude):
+    case = scene(count=5, softness=softness, amplitude=amplitude)
+    headways = 40  # eight times round for the blocks
+    (expected,), forces = plain_cars(case, 50, hold, [0, headways * case.headway], headways)
+    last = run(case, [0, headways * case.headway], nodes=50, hold=hold)[-1]
+    assert (forces.min() == 0) == (amplitude > 1)  # airborne passages are in the test
+    assert last.airborne == np.count_nonzero(forces == 0)
+    for found, wanted in zip((last.road_height, last.car_height, last.contact_force), expected, strict=True):
+        np.testing.assert_allclose(found, wanted, atol=2e-13)  # 2000 passages of rounding at height 1
+
+
+def mixed_fleet(**changes):
+    values = {
+        "speed": (1.0, 1.1, 0.8, 1.0, 1.3),
+        "frequency": (1.0, 0.9, 1.2, 1.0, 1.0),
+        "damping": (0.1, 0.3, 0.2, 0.1, 1.2),
+        "mass": (1.0, 2.0, 0.5, 1.0, 1.0),
+        "position": (0.1, 1.0, 2.5, 2.6, 6.0),
+    }
+    return tr.Fleet(5, **{**values, **changes})
+
+
+@pytest.mark.parametrize("hold", [1, 5])
+@pytest.mark.parametrize("softness", [0.02, tr.Exponential(0.02, 0.7)])
+@pytest.mark.parametrize("amplitude", [1e-3, 1.5])
+def test_mixed_kernel_is_the_plain_loop_with_overtaking(hold, softness, amplitude):
+    case = replace(scene(softness=softness, amplitude=amplitude), fleet=mixed_fleet())
+    times = [0.0, 20.0, 41.3]  # the quickest car overtakes the slowest three times
+    parts = round(20 / case.headway_time)
+    expected, forces = plain_cars(case, 48, hold, times[:2], parts)
+    last = run(case, times, nodes=48, hold=hold)[1]
+    assert (forces.min() == 0) == (amplitude > 1)
+    assert last.updates == forces.size
+    for found, wanted in zip((last.road_height, last.car_height, last.contact_force), expected[0], strict=True):
+        np.testing.assert_allclose(found, wanted, atol=2e-13)
+
+
+def test_both_kernels_agree_on_an_even_fleet():
+    even = scene(amplitude=1.2)
+    time = 64 * even.headway
+    nearly = replace(even, fleet=replace(even.fleet, mass=(1.0,) * 7 + (1.0 + 2**-52,)))
+    a = run(even, [0, time], nodes=64)[-1]
+    b = run(nearly, [0, time], nodes=64)[-1]
+    assert a.airborne > 0 and a.time == pytest.approx(b.time, rel=1e-15)
+    np.testing.assert_allclose(a.road_height, b.road_height, atol=1e-12)
+    np.testing.assert_allclose(a.car_height, b.car_height, atol=1e-12)
+
+
+def test_uneven_positions_of_one_speed_keep_their_distances():
+    rng = np.random.default_rng(5)
+    case = scene(count=6, position=tuple(rng.uniform(0, 2 * np.pi / K, 6)))
+    first, last = run(case, [0, 30.0], nodes=60)
+    moved = np.mod(last.where - first.where, 2 * np.pi / K)
+    dx = 2 * np.pi / K / 60
+    assert np.ptp(moved) < 1.01 * dx  # reported at the last node crossed
+
+
+def test_two_kinds_of_car_approach_the_fleet_dispersion():
+    # alternating kinds, no diffusion: against the continuum, second order in the headway
+    errors, counts = [], np.array([16, 32, 64])
+    for count in counts:
+        fleet = tr.Fleet(int(count), damping=(0.1, 0.3) * (count // 2), frequency=(1.0, 1.4) * (count // 2))
+        case = replace(scene(softness=0.02, diffusivity=0.0), fleet=fleet, lift_off=False)
+        sigma = late_sigma(run(case, case.headway * np.arange(0, 80 * count, 4), nodes=128, hold=5))
+        errors.append(sigma - fleet_dispersion(K, fleet, softness=0.02, diffusivity=0.0))
+    assert abs(errors[-1]) < 1e-7
+    assert slope(1 / counts, errors) == pytest.approx(2.0, abs=0.1)
+
+
+@pytest.mark.parametrize("fleet", [{}, {"position": (0.0, 1.0, 1.5, 3.0, 4.0, 5.0, 5.5, 6.5)}])
+def test_shift_by_whole_nodes_shifts_the_answer(fleet):
+    case = scene(amplitude=1.2, **fleet)
+    nodes, by = 64, 13
+    dx = case.road.length / nodes
+    moved = replace(
+        case,
+        road=replace(case.road, profile=tr.Sine(1.2, K, phase=-K * by * dx)),
+        fleet=replace(case.fleet, position=tuple(case.fleet.positions(case.road.length) + by * dx)),
+    )
+    a, b = (run(s, [0, 80.0], nodes=nodes)[-1] for s in (case, moved))
+    assert a.airborne > 0
+    # bouncing amplifies rounding, a few e-foldings here
+    np.testing.assert_allclose(np.roll(a.road_height, by), b.road_height, atol=1e-11)
+    np.testing.assert_allclose(np.mod(a.where + by * dx - b.where + 1, case.road.length), 1, atol=1e-9)
+
+
+@pytest.mark.parametrize("hold", [1, 3, 5])
+def test_uniform_road_stays_uniform_from_headway_to_headway(hold):
+    # within a headway the first passages leave a step of delta = alpha l at each start, and the wheel that rolls down it
+    # presses unevenly: a ripple of the headway's own length, second order in delta, is part of the model of point wheels
+    ripple = []
+    for softness in (0.006, 0.003):
+        case = replace(scene(), road=tr.Road(2 * np.pi / K, softness, 0.01))
+        last = run(case, [0, 400.0], nodes=64, hold=hold)[-1]
+        assert np.ptp(last.road_height.reshape(8, 8), axis=0).max() < 1e-13
+        assert last.road_height.mean() == pytest.approx(-softness * last.time, rel=1e-4)
+        ripple.append(np.ptp(last.road_height))
+    assert ripple[0] < 2 * (0.006 * case.headway) ** 2
+    assert np.log2(ripple[0] / ripple[1]) == pytest.approx(2.0, abs=0.05)
+
+
+def test_car_at_rest_starts_on_the_road_without_momentum():
+    first = run(scene(amplitude=0.5, start="rest"), [0, 1.0], nodes=64)[0]
+    node = np.rint(first.where / (2 * np.pi / K) * 64).astype(int)
+    np.testing.assert_array_equal(first.car_height, first.road_height[node])
+    np.testing.assert_allclose(first.contact_force, 1.0)
+
+
+def test_samples_do_not_disturb_the_run():
+    case = scene(amplitude=1.2)
+    times = np.linspace(0, 200, 41)
+    many, few = (run(case, t, nodes=64, relax_every=2)[-1] for t in (times, times[[0, -1]]))
+    assert many.time == few.time
+    np.testing.assert_allclose(many.road_height, few.road_height, atol=1e-11)
+
+
+def test_nan_is_not_hidden_by_the_lift_off_rule():
+    case = scene(amplitude=1.0)
+    numerics = cars.numerics(case, {"nodes": 64})
+    broken = replace(case, road=replace(case.road, softness=tr.Constant(1e308)))
+    with np.errstate(all="ignore"):
+        *_, last = cars.samples(broken, [0.0, 50 * case.headway], numerics)
+    assert not np.all(np.isfinite(last.road_height))
+
+
+@pytest.mark.parametrize("hold", [1, 3, 5])
+@pytest.mark.parametrize("damping", [0.03, 0.3, 1.0, 5.0])
+def test_grid_too_coarse_for_the_car_is_refused_just_where_it_fails(hold, damping):
+    def fails(dx):
+        """A wave well above the resonance grows, or the passage has no root: the Floquet matrix of one node a headway."""
+        growth = []
+        for k in np.linspace(min(1.5, np.pi / dx), np.pi / dx, 65):
+            matrix = floquet_matrix(
+                k, headway=dx, rows=1, hold=hold, relax_every=1, softness=1e-3, diffusivity=0.0,
+                car=(1.0, 1.0, damping, 1.0),
+            )  # fmt: skip
+            growth.append(np.abs(np.linalg.eigvals(matrix)).max() - 1)
+        return max(growth) > 0 or propagator(dx, 1.0, damping, hold)[1][0, 0, 0] >= 1
+
+    def refused(dx):
+        case = tr.Scene(tr.Road(8 * dx, 1e-3), tr.Fleet(8, damping), 10.0)
+        try:
+            cars.numerics(case, {"nodes": 8, "hold": hold})
+        except StabilityError as error:
+            need = int(str(error).split("use nodes >= ")[1])
+            assert cars.numerics(case, {"nodes": need, "hold": hold})["nodes"] == need
+            return True
+        return False
+
+    spacings = np.geomspace(0.1, 4.0, 60)
+    limit = next((dx for dx in spacings if refused(dx)), None)
+    if limit is None:
+        assert not any(fails(dx) for dx in spacings)
+        return
+    low, high = 0.1, limit
+    for _ in range(30):
+        middle = (low + high) / 2
+        low, high = (low, middle) if refused(middle) else (middle, high)
+    assert not fails(0.98 * low)
+    assert fails(1.02 * low)
+
+
+@pytest.mark.parametrize(
+    "given",
+    [{"nodes": 2}, {"nodes": 0}, {"nodes": 64.0}, {"nodes": True}, {"hold": 2}, {"relax_every": 0}, {"step": 0.1}],
+)
+def test_bad_numerics_are_refused_in_one_line(given):
+    with pytest.raises(SceneError) as error:
+        cars.numerics(scene(), given)
+    assert "\n" not in str(error.value) and next(iter(given)) in str(error.value)
+
+
+def test_floquet_matrix_keeps_the_uniform_road():
+    # the road sunk as a whole, car and all, is an eigenvector of eigenvalue 1
+    matrix = floquet_matrix(
+        0.0, headway=0.8, rows=6, hold=3, relax_every=2, softness=0.02, diffusivity=0.01, car=(1.0, 1.0, 0.1, 1.0)
+    )
+    sunk = np.ones(11)
+    sunk[7] = 0.0  # P
+    np.testing.assert_allclose(matrix @ sunk, sunk, atol=1e-14)
+
+
+def test_floquet_refuses_what_it_cannot_describe():
+    with pytest.raises(SceneError, match="identical, evenly spaced"):
+        floquet(replace(scene(), fleet=mixed_fleet()), K, nodes=64, hold=3, relax_every=1)
+    with pytest.raises(SceneError, match="Constant"):
+        floquet(scene(softness=tr.Exponential(0.006, 0.1)), K, nodes=64, hold=3, relax_every=1)

@@ -1,0 +1,44 @@
+"""How traffic corrugates roads: discrete cars, the continuum equations of Both, Hong and Kurtze, and their theory."""
+
+from importlib import import_module
+
+# public name -> module; loaded when first asked for, so that `traffic-road --help` does not wait for the compilers
+_PUBLIC = {
+    "Scene": "scene",
+    "Road": "scene",
+    "Fleet": "scene",
+    "Constant": "laws",
+    "Exponential": "laws",
+    "Bounded": "laws",
+    "Sine": "profiles",
+    "Noise": "profiles",
+    "Scales": "scales",
+    "to_si": "scales",
+    "preset": "presets",
+    "simulate": "run",
+    "mode": "analysis",
+    "growth_rate": "analysis",
+    "phase_velocity": "analysis",
+    "coarse_grain": "analysis",
+    "compare": "comparison",
+    "TrafficRoadError": "errors",
+    "SceneError": "errors",
+    "StabilityError": "errors",
+    "StoreError": "errors",
+}
+
+__all__ = sorted([*_PUBLIC, "open", "save", "theory"])
+
+
+def __getattr__(name):
+    if name == "theory":
+        return import_module(".theory", __name__)
+    if name in ("open", "save"):
+        return getattr(import_module(".store", __name__), {"open": "open_dataset", "save": "save"}[name])
+    if name in _PUBLIC:
+        return getattr(import_module(f".{_PUBLIC[name]}", __name__), name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+
+def __dir__():
+    return __all__

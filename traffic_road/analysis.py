@@ -1,0 +1,84 @@
+"""From a run's Dataset to what theory speaks of: the amplitude, growth rate and velocity of a wave, fields from cars."""
+
+from __future__ import annotations
+
+import numpy as np
+import xarray as xr
+from scipy.interpolate import CubicSpline
+
+from .laws import finite
+from .profiles import whole_waves
+from .store import scene_of, variable
+
+
+def mode(ds: xr.Dataset, wavenumber: float) -> xr.Dataset:
+    """amplitude (time) and phase (time, unwrapped, rad) of the wave amplitude * cos(wavenumber x + phase) of the road.
+
+    The wavenumber must fit the ring (SceneError). Unwrapping is sure while the wave moves less than half a wavelength
+    from sample to sample.
+    """
+    wavenumber = finite("wavenumber", wavenumber, above=0)
+    length = ds.x.size * float(ds.x[1] - ds.x[0])
+    whole_waves("wavenumber", wavenumber, length)
+    projection = np.exp(-1j * wavenumber * ds.x.values) * (2 / ds.x.size)
+    # the mean is taken off first: a road that has sunk far leaves fewer digits for the wave
+    height = ds.road_height.values - ds.road_height.values.mean(axis=-1, keepdims=True)
+    coefficient = height @ projection
+    return xr.Dataset(
+        {
+            "amplitude": variable("amplitude", "time", np.abs(coefficient)),
+            "phase": variable("phase", "time", np.unwrap(np.angle(coefficient))),
+        },
+        {"time": ds.time},
+        {"wavenumber": wavenumber},
+    )
+
+
+def growth_rate(ds: xr.Dataset, wavenumber: float) -> xr.DataArray:
+    """d ln(amplitude)/dt of one wave (time,), by differences over neighbouring samples; exact for an exponential."""
+    amplitude = mode(ds, wavenumber).amplitude.values
+    rate = np.gradient(np.log(amplitude), ds.time.values)
+    return xr.DataArray(variable("growth_rate", "time", rate), {"time": ds.time}, name="growth_rate")
+
+
+def phase_velocity(ds: xr.Dataset, wavenumber: float) -> xr.DataArray:
+    """-d(phase)/dt / wavenumber of one wave (time,), positive with the traffic; as `growth_rate`."""
+    phase = mode(ds, wavenumber).phase.values
+    velocity = -np.gradient(phase, ds.time.values) / wavenumber
+    return xr.DataArray(variable("phase_velocity", "time", velocity), {"time": ds.time}, name="phase_velocity")
+
+
+def mean_rates(ds: xr.Dataset, wavenumber: float, begin: float, end: float) -> tuple[float, float]:
+    """Growth rate and phase velocity of one wave from the sample nearest `begin` to that nearest `end`."""
+    wave = mode(ds, wavenumber)
+    i, j = (int(np.argmin(np.abs(ds.time.values - t))) for t in (begin, end))
+    span = float(ds.time[j] - ds.time[i])
+    growth = float(np.log(wave.amplitude[j] / wave.amplitude[i])) / span
+    return growth, -float(wave.phase[j] - wave.phase[i]) / span / wavenumber
+
+
+def coarse_grain(ds: xr.Dataset) -> xr.Dataset:
+    """car_height and contact_force as fields (time, x) on the road's grid.
+
+    From discrete cars by the periodic cubic spline through them, which resolves waves of about four cars or more; a
+    Dataset that has them as fields already is returned with these variables only.
+    """
+    if "car_position" not in ds:
+        return ds[["car_height", "contact_force"]]
+    length = scene_of(ds).road.length
+    fields = {}
+    for name in ("car_height", "contact_force"):
+        values = np.empty((ds.time.size, ds.x.size))
+        for i, (where, value) in enumerate(zip(ds.car_position.values, ds[name].values, strict=True)):
+            values[i] = _periodic_spline(where, value, length, ds.x.values)
+        fields[name] = variable(name, ("time", "x"), values)
+    return xr.Dataset(fields, {"time": ds.time, "x": ds.x}, ds.attrs)
+
+
+def _periodic_spline(where, value, length, x):
+    place, index = np.unique(where, return_inverse=True)
+    mean = np.bincount(index, value) / np.bincount(index)  # cars over the same node count as one
+    if place.size == 1:
+        return np.full(x.size, mean[0])
+    spline = CubicSpline(np.append(place, place[0] + length), np.append(mean, mean[0]), bc_type="periodic")
+    return spline(place[0] + np.mod(x - place[0], length))

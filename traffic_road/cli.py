@@ -1,0 +1,190 @@
+"""traffic-road: the command line. Heavy imports wait until a command needs them."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+
+from .errors import SceneError, StabilityError, StoreError, TrafficRoadError
+
+BAD_INPUT, FAILED_RUN = 2, 1
+
+
+def main(arguments=None) -> int:
+    """Run one command; the exit status is 0, 2 for bad input, 1 for a failed run."""
+    parser = _parser()
+    options = parser.parse_args(arguments)
+    try:
+        return options.command(options)
+    except TrafficRoadError as error:
+        if options.debug:
+            raise
+        print(f"traffic-road: {error}", file=sys.stderr)
+        return BAD_INPUT if isinstance(error, (SceneError, StabilityError, StoreError)) else FAILED_RUN
+    except KeyboardInterrupt:
+        print("traffic-road: interrupted; nothing was written", file=sys.stderr)
+        return FAILED_RUN
+    except BrokenPipeError:  # the reader of our output went away, as `head` does
+        sys.stderr.close()
+        return FAILED_RUN
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="traffic-road", description="How traffic corrugates roads: discrete cars, the continuum, and their theory."
+    )
+    parser.add_argument("--debug", action="store_true", help="show the trace of an error")
+    commands = parser.add_subparsers(title="commands", required=True, metavar="COMMAND")
+
+    compare = commands.add_parser("compare", help="cars, continuum and dispersion relation on one scene")
+    compare.add_argument("scene", nargs="?", default="paper", metavar="SCENE", help=_SCENE_HELP + " (default: paper)")
+    compare.add_argument(
+        "-o", "--output", default="compare.nc", metavar="FILE", help="default: compare.nc, with a .png beside it"
+    )
+    compare.add_argument("--wavenumber", type=float, metavar="K", help="default: the fastest growing wave of the road")
+    _add_numerics(compare)
+    compare.set_defaults(command=_compare)
+
+    run = commands.add_parser("run", help="run a scene and store the result")
+    run.add_argument("scene", metavar="SCENE", help=_SCENE_HELP)
+    run.add_argument("-o", "--output", required=True, metavar="FILE", help="netCDF file to write")
+    run.add_argument("--model", default="auto", choices=("auto", "cars", "continuum"))
+    run.add_argument("--plot", metavar="PICTURE", help="draw the result, too (.png, .pdf, .svg)")
+    _add_numerics(run)
+    run.set_defaults(command=_run)
+
+    plot = commands.add_parser("plot", help="draw a stored result")
+    plot.add_argument("file", metavar="FILE", help="netCDF file of `run` or `compare`")
+    plot.add_argument("-o", "--output", metavar="PICTURE", help="default: FILE with the ending .png")
+    plot.set_defaults(command=_plot)
+
+    presets = commands.add_parser("presets", help="list the named scenes, or print one as TOML")
+    presets.add_argument("name", nargs="?", help="the scene to print")
+    presets.set_defaults(command=_presets)
+    return parser
+
+
+_SCENE_HELP = "a preset's name or a TOML file"
+
+
+def _add_numerics(parser):
+    parser.add_argument(
+        "--tolerance", type=float, default=1e-3, help="relative error of the corrugation (default 1e-3)"
+    )
+    parser.add_argument("--samples", type=int, default=101, help="number of times stored (default 101)")
+    parser.add_argument("--nodes", type=int, help="road nodes in all")
+    parser.add_argument("--hold", type=int, help="cars: degree of the road under a wheel, 1, 3 or 5")
+    parser.add_argument("--relax-every", type=int, metavar="N", help="cars: headways from one relaxation to the next")
+    parser.add_argument("--step", type=float, help="continuum: time step")
+
+
+def _numerics(options) -> dict:
+    names = ("nodes", "hold", "relax_every", "step")
+    return {name: getattr(options, name) for name in names if getattr(options, name) is not None}
+
+
+def _scene(name: str):
+    from .presets import PRESETS, preset
+    from .scene import Scene
+
+    if name in PRESETS:
+        return preset(name)
+    if not Path(name).suffix and not Path(name).exists():
+        raise SceneError(f"scene {name!r}: neither a preset ({', '.join(PRESETS)}) nor a TOML file that exists")
+    return Scene.from_toml(name)
+
+
+def _finish(*diverged: str) -> int:
+    for line in diverged:
+        print(f"traffic-road: the run {line}; the file holds what came before", file=sys.stderr)
+    return FAILED_RUN if diverged else 0
+
+
+def _compare(options) -> int:
+    scene = _scene(options.scene)
+    picture = Path(options.output).with_suffix(".png")
+    from .store import refuse_unwritable, save
+
+    for path in (options.output, picture):
+        refuse_unwritable(path)
+    from .comparison import compare
+    from .plots import compare_figure, save_figure
+
+    ds = compare(
+        scene, wavenumber=options.wavenumber, tolerance=options.tolerance, samples=options.samples, **_numerics(options)
+    )
+    print(_table(ds))
+    save(ds, options.output)
+    save_figure(compare_figure(ds), picture)
+    print(f"wrote {options.output} and {picture}")
+    return _finish(*(s for s in (ds.attrs["cars_status"], ds.attrs["continuum_status"]) if s != "ok"))
+
+
+def _table(ds) -> str:
+    window = f"time {ds.attrs['window_begin']:.4g} to {ds.attrs['window_end']:.4g}"
+    lines = [
+        f"wavenumber {ds.attrs['wavenumber']:.6g}, {window}; differences are relative to the cars",
+        f"{'':<34} {'growth rate':>13} {'diff.':>9} {'phase velocity':>15} {'diff.':>9}",
+    ]
+    for source in ds.source.values:
+        row = ds.sel(source=source)
+        values = (row.growth_rate, row.growth_rate_difference, row.phase_velocity, row.phase_velocity_difference)
+        formats = ("13.8f", "9.1e", "15.8f", "9.1e")
+        cells = [
+            format(float(v), f) if float(v) == float(v) else format("-", f">{f.split('.')[0]}")
+            for v, f in zip(values, formats, strict=True)
+        ]
+        if source == "cars":
+            cells[1], cells[3] = f"{'':>9}", f"{'':>9}"
+        lines.append(f"{source:<34} {' '.join(cells)}".rstrip())
+    costs = (
+        f"{name}: corrugation right to {ds.attrs[f'{name}_error_estimate']:.1e} of itself by its own equations, "
+        f"{ds.attrs[f'{name}_wall_time']:.2g} s, {ds.attrs[f'{name}_numerics']}"
+        for name in ("cars", "continuum")
+    )
+    return "\n".join([*lines, *costs])
+
+
+def _run(options) -> int:
+    from .store import refuse_unwritable
+
+    scene = _scene(options.scene)
+    for path in (options.output, options.plot):
+        if path is not None:
+            refuse_unwritable(path)
+    from .run import simulate
+
+    ds = simulate(scene, options.model, options.tolerance, options.samples, output=options.output, **_numerics(options))
+    print(
+        f"{ds.attrs['model']}: {ds.attrs['status']}, error estimate {ds.attrs['error_estimate']:.1e} "
+        f"({ds.attrs['error_method']}), {ds.attrs['updates']} node updates in {ds.attrs['wall_time']:.3g} s"
+    )
+    print(f"wrote {options.output}")
+    if options.plot is not None:
+        from .plots import run_figure, save_figure
+
+        save_figure(run_figure(ds), options.plot)
+        print(f"wrote {options.plot}")
+    return _finish(*([ds.attrs["status"]] if ds.attrs["status"] != "ok" else []))
+
+
+def _plot(options) -> int:
+    from .plots import plot, save_figure
+    from .store import open_dataset
+
+    picture = options.output or Path(options.file).with_suffix(".png")
+    save_figure(plot(open_dataset(options.file)), picture)
+    print(f"wrote {picture}")
+    return 0
+
+
+def _presets(options) -> int:
+    from .presets import PRESETS, preset
+
+    if options.name is not None:
+        print(preset(options.name).to_toml(), end="")
+        return 0
+    for name, build in PRESETS.items():
+        print(f"{name:<8} {build.__doc__.splitlines()[0]}")
+    return 0

@@ -1,0 +1,111 @@
+"""Softness and diffusivity as functions of the road height H (the admissible laws of Fig. 2 of Both, Hong and Kurtze).
+
+A law is a positive, non-decreasing function of H: a road that has sunk is harder. Each law knows its value, its
+derivative and `kernel`, the (kind, value, shape) triple by which the compiled loops know it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from .errors import SceneError
+
+CONSTANT, EXPONENTIAL, BOUNDED = 0, 1, 2
+
+
+def finite(name: str, value, *, above: float | None = None, least: float | None = None, remedy: str = "") -> float:
+    """`value` as a float; SceneError if it is not a finite number > `above` or >= `least`."""
+    allowed = "a finite number"
+    if above is not None:
+        allowed += f" > {above:g}"
+    if least is not None:
+        allowed += f" >= {least:g}"
+    try:
+        if isinstance(value, (bool, str)):
+            raise TypeError
+        number = float(value)
+    except (TypeError, ValueError, OverflowError):
+        raise SceneError(f"{name} = {value!r}: must be {allowed}{remedy and '; ' + remedy}") from None
+    if not np.isfinite(number) or (above is not None and number <= above) or (least is not None and number < least):
+        raise SceneError(f"{name} = {value!r}: must be {allowed}{remedy and '; ' + remedy}")
+    return number
+
+
+@dataclass(frozen=True)
+class Constant:
+    """The same `value` at every height."""
+
+    value: float
+
+    def __post_init__(self):
+        object.__setattr__(self, "value", finite("Constant.value", self.value, least=0))
+
+    def __call__(self, height):
+        return np.full_like(np.asarray(height, dtype=float), self.value)
+
+    def derivative(self, height):
+        return np.zeros_like(np.asarray(height, dtype=float))
+
+    @property
+    def kernel(self) -> tuple[int, float, float]:
+        return CONSTANT, self.value, 0.0
+
+
+@dataclass(frozen=True)
+class Exponential:
+    """value * exp(hardening * H), Eq. (19) of the paper; `hardening` (the paper's epsilon) >= 0."""
+
+    value: float
+    hardening: float
+
+    def __post_init__(self):
+        object.__setattr__(self, "value", finite("Exponential.value", self.value, least=0))
+        object.__setattr__(
+            self,
+            "hardening",
+            finite("Exponential.hardening", self.hardening, least=0, remedy="a road hardens as it sinks"),
+        )
+
+    def __call__(self, height):
+        return self.value * np.exp(self.hardening * np.asarray(height, dtype=float))
+
+    def derivative(self, height):
+        return self.hardening * self(height)
+
+    @property
+    def kernel(self) -> tuple[int, float, float]:
+        return EXPONENTIAL, self.value, self.hardening
+
+
+@dataclass(frozen=True)
+class Bounded:
+    """value * max(0, 1 + H/depth): vanishes once the road has sunk by `depth` > 0."""
+
+    value: float
+    depth: float
+
+    def __post_init__(self):
+        object.__setattr__(self, "value", finite("Bounded.value", self.value, least=0))
+        object.__setattr__(self, "depth", finite("Bounded.depth", self.depth, above=0))
+
+    def __call__(self, height):
+        return self.value * np.maximum(0.0, 1.0 + np.asarray(height, dtype=float) / self.depth)
+
+    def derivative(self, height):
+        return np.where(np.asarray(height, dtype=float) > -self.depth, self.value / self.depth, 0.0)
+
+    @property
+    def kernel(self) -> tuple[int, float, float]:
+        return BOUNDED, self.value, 1.0 / self.depth
+
+
+LAWS = {"constant": Constant, "exponential": Exponential, "bounded": Bounded}
+
+
+def as_law(name: str, law) -> Constant | Exponential | Bounded:
+    """`law` itself, or a number taken as `Constant`."""
+    if isinstance(law, tuple(LAWS.values())):
+        return law
+    return Constant(finite(name, law, least=0, remedy="or one of the laws Constant, Exponential, Bounded"))

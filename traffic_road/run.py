@@ -1,0 +1,108 @@
+"""simulate(): one scene, one model, one Dataset."""
+
+from __future__ import annotations
+
+import time as clock
+import warnings
+
+import numpy as np
+import xarray as xr
+from tqdm import tqdm
+
+from .errors import SceneError
+from .estimate import error_estimate
+from .laws import finite
+from .models import Sample, model
+from .store import assemble, refuse_unwritable, save
+
+RUNAWAY = 1e12  # corrugation (g/omega_0^2) beyond which the road has blown up and rounding eats what is left
+REFINEMENTS = 4  # doublings of the default resolution before a tolerance is given up
+
+
+def simulate(scene, model="auto", tolerance=1e-3, samples=101, *, output=None, progress=None, **numerics) -> xr.Dataset:
+    """Run `scene` and return its Dataset.
+
+    model: "cars", "continuum", or "auto" (the cars, which are what a scene describes). tolerance: relative error of the
+    corrugation (L2 over the road, mean removed) at the end; where no resolution is given the default is refined until the
+    estimate meets it. samples: number of times, evenly spaced from 0 to the duration. Numerics override the default:
+    nodes, hold, relax_every for "cars", nodes, step for "continuum". output: netCDF file to write. progress: True, False,
+    a callable that is given the fraction done, or None for a bar after two seconds if there is a terminal.
+
+    Dataset: road_height (time, x); car_height, contact_force (time, car) and car_position (time, car) for "cars", else
+    (time, x). A run that diverges keeps what it has and says so in `status`. Raises SceneError, StabilityError,
+    StoreError.
+    """
+    name = "cars" if model == "auto" else model
+    finite("tolerance", tolerance, above=0)
+    if isinstance(samples, bool) or not isinstance(samples, (int, np.integer)) or samples < 2:
+        raise SceneError(f"samples = {samples!r}: must be a whole number >= 2 (the start and the end)")
+    if output is not None:
+        refuse_unwritable(output)
+    ds = _run(scene, name, finite("tolerance", tolerance), int(samples), numerics, progress)
+    if output is not None:
+        save(ds, output)
+    return ds
+
+
+def _run(scene, name, tolerance, samples, given, progress):
+    module = model(name)
+    numerics = module.numerics(scene, given)
+    times = np.linspace(0.0, scene.duration, samples)
+    for attempt in range(REFINEMENTS + 1):
+        begin = clock.perf_counter()
+        taken, status = _collect(scene, module, times, numerics, progress)
+        wall_time = clock.perf_counter() - begin
+        if status == "ok":
+            begin = clock.perf_counter()
+            error, method = error_estimate(scene, name, numerics, taken[-1])
+            estimate_time = clock.perf_counter() - begin
+        else:
+            error, method, estimate_time = float("inf"), "none: the run diverged", 0.0
+        finer = module.finer(scene, numerics, given)
+        if not error > tolerance or status != "ok" or finer == numerics:
+            break
+        if attempt == REFINEMENTS:
+            warnings.warn(
+                f"tolerance = {tolerance:g}: not met, the error estimate is {error:.2g} with {numerics}; "
+                "name finer numerics, or shorten the duration",
+                stacklevel=3,
+            )
+            break
+        numerics = finer
+    outcome = {
+        "tolerance": tolerance,
+        "error_estimate": error,
+        "error_method": method,
+        "wall_time": wall_time,
+        "error_wall_time": estimate_time,
+        "updates": taken[-1].updates,
+        "airborne_passages": taken[-1].airborne,
+        "status": status,
+    }
+    return assemble(scene, name, numerics, taken, outcome)
+
+
+def _collect(scene, module, times, numerics, progress) -> tuple[list[Sample], str]:
+    """The samples of a run up to its end or to where it blows up, and its status."""
+    times = module.sample_times(scene, times, numerics)
+    taken: list[Sample] = []
+    status = "ok"
+    report = progress if callable(progress) else None
+    # progress None: only in a terminal (disable=None), and only for what takes longer than two seconds
+    disable = None if progress is None else progress is not True
+    with np.errstate(all="ignore"), tqdm(total=len(times), delay=2, disable=disable, leave=False, unit="sample") as bar:
+        for sample in module.samples(scene, times, numerics):
+            if not healthy(sample):
+                status = f"diverged between time {taken[-1].time:.6g} and {sample.time:.6g}"
+                break
+            taken.append(sample)
+            bar.update()
+            if report is not None:
+                report(len(taken) / len(times))
+    return taken, status
+
+
+def healthy(sample: Sample) -> bool:
+    """False where a number has been lost or the corrugation has run away."""
+    whole = all(np.all(np.isfinite(a)) for a in (sample.road_height, sample.car_height, sample.contact_force))
+    return whole and float(np.ptp(sample.road_height)) < RUNAWAY

@@ -1,0 +1,162 @@
+"""The table of variables, provenance, and netCDF files that are either whole or not there."""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+import tempfile
+from datetime import UTC, datetime
+from importlib.metadata import version
+from pathlib import Path
+
+import numpy as np
+import xarray as xr
+
+from .errors import StoreError
+from .scene import Scene
+
+SCHEMA = 1
+LENGTH, HEIGHT, TIME, FORCE = "v/omega_0", "g/omega_0^2", "1/omega_0", "static load of the reference car"
+
+# name: (long_name, scale of the dimensionless value)
+VARIABLES = {
+    "time": ("time", TIME),
+    "x": ("distance along the road", LENGTH),
+    "car": ("number of the car", None),
+    "road_height": ("height of the road surface", HEIGHT),
+    "car_height": ("height of the car's mass", HEIGHT),
+    "contact_force": ("force of the wheel on the road", FORCE),
+    "car_position": ("last node that the car has crossed", LENGTH),
+    "amplitude": ("amplitude of one wave of the road", HEIGHT),
+    "phase": ("phase of one wave of the road, unwrapped", None),
+    "growth_rate": ("growth rate of one wave of the road", "omega_0"),
+    "phase_velocity": ("velocity of one wave of the road", "v"),
+    "model": ("how the road was computed", None),
+    "source": ("where a growth rate comes from", None),
+    "growth_rate_difference": ("growth rate relative to that of the cars, minus 1", None),
+    "phase_velocity_difference": ("phase velocity relative to that of the cars, minus 1", None),
+}
+AXES = {"time": "T", "x": "X"}
+
+
+def describe(name: str) -> dict:
+    """CF attributes of a variable of the table."""
+    long_name, scale = VARIABLES[name]
+    attributes = {"long_name": long_name}
+    if name not in ("model", "source"):
+        attributes["units"] = "1"
+    if scale is not None:
+        attributes["scale"] = scale
+    if name in AXES:
+        attributes["axis"] = AXES[name]
+    return attributes
+
+
+def variable(name: str, dims, values) -> xr.Variable:
+    """One variable of the table, with its attributes."""
+    return xr.Variable(dims, values, describe(name))
+
+
+def provenance(scene: Scene, title: str) -> dict:
+    """Dataset attributes that say what was run, by what, when."""
+    attributes = {
+        "Conventions": "CF-1.11",
+        "title": title,
+        "source": f"traffic_road {version('traffic_road')}",
+        "history": f"{datetime.now(UTC):%Y-%m-%dT%H:%M:%SZ} {Path(sys.argv[0]).name} {' '.join(sys.argv[1:])}".strip(),
+        "references": "J. A. Both, D. C. Hong and D. A. Kurtze, Corrugation of roads, Physica A 301 (2001) 545-559",
+        "schema": SCHEMA,
+        "scene": json.dumps(scene.to_dict()),
+        "passages_per_time": 1.0 / scene.headway_time,
+    }
+    if scene.scales is not None:
+        attributes["scales"] = json.dumps(scene.to_dict()["scales"])
+    return attributes
+
+
+def assemble(scene: Scene, model: str, numerics: dict, samples: list, outcome: dict) -> xr.Dataset:
+    """The Dataset of one run; `samples` as `models` yield them, `outcome` the remaining attributes."""
+    first = samples[0]
+    on = ("time", "x") if first.where is None else ("time", "car")
+    length, nodes = scene.road.length, first.road_height.size
+    variables = {
+        "road_height": variable("road_height", ("time", "x"), np.stack([s.road_height for s in samples])),
+        "car_height": variable("car_height", on, np.stack([s.car_height for s in samples])),
+        "contact_force": variable("contact_force", on, np.stack([s.contact_force for s in samples])),
+    }
+    coordinates = {
+        "time": variable("time", "time", np.array([s.time for s in samples])),
+        "x": variable("x", "x", np.arange(nodes) * (length / nodes)),
+    }
+    if first.where is not None:
+        variables["car_position"] = variable("car_position", on, np.stack([s.where for s in samples]))
+        coordinates["car"] = variable("car", "car", np.arange(first.where.size, dtype=np.int32))
+    attributes = provenance(scene, f"Corrugation of a road, {model} model")
+    return xr.Dataset(variables, coordinates, attributes | {"model": model, "numerics": json.dumps(numerics)} | outcome)
+
+
+def refuse_unwritable(path) -> None:
+    """StoreError now rather than after a long run, if nothing could be written at `path`."""
+    path = Path(path)
+    if path.is_dir():
+        raise StoreError(f"{path}: cannot write: it is a folder; name a file in it")
+    try:
+        with tempfile.NamedTemporaryFile(dir=path.parent, prefix=f".{path.name}."):
+            pass
+    except (OSError, ValueError) as error:
+        raise StoreError(f"{path}: cannot write there: {getattr(error, 'strerror', None) or error}") from None
+
+
+def replace_file(path, write) -> None:
+    """Call write(temporary path in the same folder), then rename: `path` is the old file or the whole new one."""
+    path = Path(path)
+    refuse_unwritable(path)
+    handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.", suffix=path.suffix)
+    os.close(handle)
+    try:
+        write(temporary)
+        mask = os.umask(0)
+        os.umask(mask)
+        os.chmod(temporary, 0o666 & ~mask)  # mkstemp's own mode would hide the file from everybody else
+        os.replace(temporary, path)
+    except OSError as error:
+        raise StoreError(f"{path}: cannot write: {error.strerror or error}") from None
+    finally:
+        if os.path.exists(temporary):
+            os.unlink(temporary)
+
+
+def save(ds: xr.Dataset, path) -> None:
+    """Write `ds` as netCDF-4, atomically. StoreError if that is impossible."""
+    encoding = {}
+    for name, values in ds.variables.items():
+        if values.dtype.kind == "U":
+            encoding[name] = {"dtype": "S1"}  # characters: strings are unknown to older readers
+        elif values.dtype.kind == "f":
+            encoding[name] = {"_FillValue": None} if name in ds.coords else {"_FillValue": np.nan}
+    replace_file(path, lambda temporary: ds.to_netcdf(temporary, engine="netcdf4", encoding=encoding))
+
+
+def open_dataset(path) -> xr.Dataset:
+    """A file that this package wrote, read whole into memory (the file is closed). StoreError for any other file."""
+    try:
+        with xr.open_dataset(path, engine="netcdf4", decode_times=False) as stored:
+            ds = stored.load()
+    except (OSError, ValueError, RuntimeError, KeyError) as error:
+        reason = getattr(error, "strerror", None) or str(error).splitlines()[0]
+        raise StoreError(f"{path}: cannot read as netCDF: {reason}") from None
+    if "schema" not in ds.attrs:
+        raise StoreError(f"{path}: no result of traffic_road: attribute 'schema' is missing; name a file written by it")
+    if int(ds.attrs["schema"]) > SCHEMA:
+        raise StoreError(
+            f"{path}: schema {ds.attrs['schema']} is newer than {SCHEMA}, which this version reads; update it"
+        )
+    for values in ds.variables.values():
+        values.encoding.clear()
+    return ds
+
+
+def scene_of(ds: xr.Dataset) -> Scene:
+    """The scene that a result was computed from."""
+    return Scene.from_dict(json.loads(ds.attrs["scene"]))

@@ -1,0 +1,126 @@
+"""Growth rates of small corrugations, exp(i k x + sigma t), in closed form or as roots of a polynomial.
+
+R(s) = s^2 / (s^2 + 2 Gamma s + 1) is the response of the contact force, F - 1 = R h, to a road that varies as exp(s t)
+under the wheel; s = sigma + i k. Everything is dimensionless (time 1/omega_0, distance v/omega_0); Re sigma is the growth
+rate, -Im sigma / k the phase velocity. Arguments broadcast; every function returns complex sigma.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..errors import SceneError
+
+
+def response(s, damping):
+    """R(s)."""
+    return s**2 / (s**2 + 2 * damping * s + 1)
+
+
+def _response_slope(s, damping):
+    return 2 * s * (1 + damping * s) / (s**2 + 2 * damping * s + 1) ** 2
+
+
+def dispersion_roots(k, *, softness, diffusivity, damping, hardening_rate=0.0) -> np.ndarray:
+    """All three roots of the continuum relation, Eq. (15) of Both, Hong and Kurtze, fastest growing first: (..., 3).
+
+    (sigma + beta + Delta k^2) [(sigma + ik)^2 + 2 Gamma (sigma + ik) + 1] + alpha (sigma + ik)^2 = 0.
+    Exact for constant alpha and Delta; with a hardening rate beta, the paper's frozen-coefficient form.
+    """
+    k, alpha, diffusivity, damping, beta = np.broadcast_arrays(
+        *(np.asarray(a, dtype=float) for a in (k, softness, diffusivity, damping, hardening_rate))
+    )
+    loss = beta + diffusivity * k**2
+    # in s = sigma + ik: s^3 + (2 Gamma + rest + alpha) s^2 + (1 + 2 Gamma rest) s + rest = 0
+    rest = loss - 1j * k
+    companion = np.zeros((*k.shape, 3, 3), dtype=complex)
+    companion[..., 0, 0] = -(2 * damping + rest + alpha)
+    companion[..., 0, 1] = -(1 + 2 * damping * rest)
+    companion[..., 0, 2] = -rest
+    companion[..., 1, 0] = companion[..., 2, 1] = 1.0
+    sigma = np.linalg.eigvals(companion) - 1j * k[..., None]
+    # one Newton step in sigma itself, which may be far smaller than k; not where roots (nearly) coincide
+    s = sigma + 1j * k[..., None]
+    quadratic = s**2 + 2 * damping[..., None] * s + 1
+    value = (sigma + loss[..., None]) * quadratic + alpha[..., None] * s**2
+    slope = quadratic + (sigma + loss[..., None]) * 2 * (s + damping[..., None]) + 2 * alpha[..., None] * s
+    step = value / np.where(slope == 0, 1.0, slope)
+    sigma = sigma - np.where(np.abs(step) < 1e-6 * (np.abs(sigma) + 1e-6), step, 0.0)
+    order = np.argsort(-sigma.real, axis=-1)
+    return np.take_along_axis(sigma, order, axis=-1)
+
+
+def dispersion(k, *, softness, diffusivity, damping, hardening_rate=0.0, headway=None) -> np.ndarray:
+    """sigma of the fastest growing root: the continuum's cubic or, with a headway, evenly spaced discrete cars.
+
+    Discrete cars: exp(sigma l) = exp(-Delta k^2 l) (1 - l (beta + alpha R)/2) / (1 + l (beta + alpha R)/2), R at sigma + ik.
+    Exact for point wheels without diffusion, where it reads tanh(sigma l/2) = -(l/2)(beta + alpha R). With diffusion it
+    is a guide, off by O(l^2): `floquet` is exact there. NaN where its Newton iteration finds no root.
+    """
+    roots = dispersion_roots(
+        k, softness=softness, diffusivity=diffusivity, damping=damping, hardening_rate=hardening_rate
+    )
+    sigma = roots[..., 0]
+    if headway is None:
+        return sigma
+    if not np.all(np.asarray(headway) > 0):
+        raise SceneError(f"headway = {headway!r}: must be > 0, or None for the continuum")
+    half = np.asarray(headway) / 2
+    diffused = np.asarray(diffusivity) * np.asarray(k) ** 2
+    for _ in range(50):
+        s = sigma + 1j * np.asarray(k)
+        push = half * (hardening_rate + softness * response(s, damping))
+        miss = sigma + diffused + np.arctanh(push) / half
+        slope = 1 + softness * _response_slope(s, damping) / (1 - push**2)
+        step = miss / slope
+        sigma = sigma - step
+        if np.all(np.abs(step) <= 4e-16 * (1 + np.abs(sigma))):
+            break
+    return np.where(np.abs(step) <= 1e-12 * (1 + np.abs(sigma)), sigma, np.nan)
+
+
+def dispersion_leading(k, *, softness, diffusivity, damping, hardening_rate=0.0) -> np.ndarray:
+    """Leading order in small alpha, beta, Delta: sigma = -beta - Delta k^2 - alpha R(ik), Eq. (16) of the paper.
+
+    Needs alpha << 2 Gamma^2; at the paper's own Fig. 5 it is off by tens of per cent.
+    """
+    k = np.asarray(k, dtype=float)
+    return -hardening_rate - diffusivity * k**2 - softness * response(1j * k, np.asarray(damping))
+
+
+def mode_matrix(k: float, fleet, *, softness, diffusivity, hardening_rate=0.0) -> np.ndarray:
+    """d/dt of (H, Z_1, P_1, ..., Z_n, P_n) for one wave and the fleet's n kinds of car: (2n + 1, 2n + 1), complex."""
+    columns = np.stack([fleet.per_car(name) for name in ("speed", "frequency", "damping", "mass")], axis=1)
+    distinct, count = np.unique(columns, axis=0, return_counts=True)
+    share = count / fleet.count
+    speed, omega, damping, mass = distinct.T
+    size = 2 * len(distinct) + 1
+    matrix = np.zeros((size, size), dtype=complex)
+    z, p = np.arange(1, size, 2), np.arange(2, size, 2)
+    press = softness * share * mass * omega**2
+    matrix[0, 0] = -hardening_rate - diffusivity * k**2 - press.sum()
+    matrix[0, z] = press
+    matrix[z, z] = -1j * speed * k - 2 * damping * omega
+    matrix[z, p] = 1.0
+    matrix[z, 0] = 2 * damping * omega
+    matrix[p, p] = -1j * speed * k
+    matrix[p, z] = -(omega**2)
+    matrix[p, 0] = omega**2
+    return matrix
+
+
+def fleet_dispersion(k, fleet, *, softness, diffusivity, hardening_rate=0.0) -> np.ndarray:
+    """sigma of the fastest growing root for a mixed fleet in the continuum limit.
+
+    (sigma + beta + Delta k^2) + alpha <m omega^2 R> = 0, mean over cars, with
+    R = s^2/(s^2 + 2 Gamma omega s + omega^2), s = sigma + iku: the eigenvalues of `mode_matrix`. There the quiescent road
+    sinks at alpha <m>, so that a law exp(eps H) hardens at beta = eps alpha <m>.
+    """
+    k = np.asarray(k, dtype=float)
+    sigma = np.empty(k.shape, dtype=complex)
+    for index in np.ndindex(k.shape):
+        roots = np.linalg.eigvals(
+            mode_matrix(k[index], fleet, softness=softness, diffusivity=diffusivity, hardening_rate=hardening_rate)
+        )
+        sigma[index] = roots[np.argmax(roots.real)]
+    return sigma[()]
