@@ -25,9 +25,8 @@ SOURCES = (
     "continuum dispersion relation",
     "leading order",
 )
-TRANSIENTS = (
-    5.0  # the cars' own oscillation decays as exp(-Gamma omega t); after this many times 1/(Gamma omega) it is gone
-)
+# the cars' own oscillation decays as exp(-Gamma omega t); after this many times 1/(Gamma omega) it is gone
+TRANSIENTS = 10.0
 
 
 def compare(scene, *, wavenumber=None, tolerance=1e-3, samples=101, progress=None, **numerics) -> xr.Dataset:
@@ -39,7 +38,7 @@ def compare(scene, *, wavenumber=None, tolerance=1e-3, samples=101, progress=Non
     Dataset: road_height, car_height, contact_force (model, time, x); amplitude, phase (model, time); car_position and the
     cars' own car_height_at_car, contact_force_at_car (time, car); growth_rate, phase_velocity and their relative
     differences from the cars' (source,), NaN where a theory does not apply. Rates are means over the linear stage, from
-    5/(Gamma omega) until the first car is airborne: attributes window_begin and window_end.
+    10/(Gamma omega) until the first car is airborne: attributes window_begin and window_end.
     """
     step = {"step": numerics.pop("step")} if "step" in numerics else {}
     cars = simulate(scene, "cars", tolerance, samples, progress=progress, **numerics)
