@@ -11,7 +11,7 @@ from traffic_road.errors import SceneError, StabilityError
 from traffic_road.models import cars
 from traffic_road.schemes.oscillator import propagator
 from traffic_road.theory import dispersion, fleet_dispersion, floquet
-from traffic_road.theory.floquet import floquet_matrix
+from traffic_road.theory.floquet import floquet_mode, relaxation_matrix, sweep_matrix
 
 K = 0.9
 
@@ -284,10 +284,7 @@ def test_grid_too_coarse_for_the_car_is_refused_just_where_it_fails(hold, dampin
         """A wave well above the resonance grows, or the passage has no root: the Floquet matrix of one node a headway."""
         growth = []
         for k in np.linspace(min(1.5, np.pi / dx), np.pi / dx, 65):
-            matrix = floquet_matrix(
-                k, headway=dx, rows=1, hold=hold, relax_every=1, softness=1e-3, diffusivity=0.0,
-                car=(1.0, 1.0, damping, 1.0),
-            )  # fmt: skip
+            matrix = sweep_matrix(k, headway=dx, rows=1, hold=hold, softness=1e-3, car=(1.0, 1.0, damping, 1.0))
             growth.append(np.abs(np.linalg.eigvals(matrix)).max() - 1)
         return max(growth) > 0 or propagator(dx, 1.0, damping, hold)[1][0, 0, 0] >= 1
 
@@ -324,14 +321,27 @@ def test_bad_numerics_are_refused_in_one_line(given):
     assert "\n" not in str(error.value) and next(iter(given)) in str(error.value)
 
 
-def test_floquet_matrix_keeps_the_uniform_road():
+def test_floquet_matrices_keep_the_uniform_road():
     # the road sunk as a whole, car and all, is an eigenvector of eigenvalue 1
-    matrix = floquet_matrix(
-        0.0, headway=0.8, rows=6, hold=3, relax_every=2, softness=0.02, diffusivity=0.01, car=(1.0, 1.0, 0.1, 1.0)
-    )
+    sweep = sweep_matrix(0.0, headway=0.8, rows=6, hold=3, softness=0.02, car=(1.0, 1.0, 0.1, 1.0))
     sunk = np.ones(11)
     sunk[7] = 0.0  # P
-    np.testing.assert_allclose(matrix @ sunk, sunk, atol=1e-14)
+    np.testing.assert_allclose(sweep @ sunk, sunk, atol=1e-14)
+    relaxed = relaxation_matrix(0.0, headway=0.8, rows=6, diffusion=0.1) @ np.ones(6)
+    np.testing.assert_allclose(relaxed, 1.0, atol=1e-14)
+
+
+@pytest.mark.parametrize(("rows", "relax_every"), [(8, 1), (7, 2)])
+def test_shape_of_the_wave_is_that_of_the_floquet_matrix(rows, relax_every):
+    case = replace(scene(amplitude=100.0), lift_off=False)  # far above the ripple of a uniform road, which is separate
+    numerics = {"nodes": 8 * rows, "hold": 3, "relax_every": relax_every}
+    last = run(case, [0, 600.0], **numerics)[-1]
+    wave = np.fft.fft(last.road_height)
+    ripple = np.fft.fft(
+        run(replace(case, road=tr.Road(2 * np.pi / K, 0.006, 0.01)), [0, 600.0], **numerics)[-1].road_height
+    )
+    found = (wave - ripple)[1::8] / wave[1]  # k + 2 pi n/l is 1 + 8 n waves on the ring
+    np.testing.assert_allclose(found, floquet_mode(case, K, **numerics)[1], atol=1e-10)
 
 
 def test_floquet_refuses_what_it_cannot_describe():

@@ -8,7 +8,7 @@ from scipy.interpolate import CubicSpline
 
 from .laws import finite
 from .profiles import whole_waves
-from .store import scene_of, variable
+from .store import variable
 
 
 def mode(ds: xr.Dataset, wavenumber: float) -> xr.Dataset:
@@ -18,7 +18,7 @@ def mode(ds: xr.Dataset, wavenumber: float) -> xr.Dataset:
     from sample to sample.
     """
     wavenumber = finite("wavenumber", wavenumber, above=0)
-    length = ds.x.size * float(ds.x[1] - ds.x[0])
+    length = _ring(ds)
     whole_waves("wavenumber", wavenumber, length)
     projection = np.exp(-1j * wavenumber * ds.x.values) * (2 / ds.x.size)
     # the mean is taken off first: a road that has sunk far leaves fewer digits for the wave
@@ -32,6 +32,11 @@ def mode(ds: xr.Dataset, wavenumber: float) -> xr.Dataset:
         {"time": ds.time},
         {"wavenumber": wavenumber},
     )
+
+
+def _ring(ds) -> float:
+    """Length of the ring, in the units of x."""
+    return ds.x.size * float(ds.x[1] - ds.x[0])
 
 
 def growth_rate(ds: xr.Dataset, wavenumber: float) -> xr.DataArray:
@@ -49,10 +54,12 @@ def phase_velocity(ds: xr.Dataset, wavenumber: float) -> xr.DataArray:
 
 
 def mean_rates(ds: xr.Dataset, wavenumber: float, begin: float, end: float) -> tuple[float, float]:
-    """Growth rate and phase velocity of one wave from the sample nearest `begin` to that nearest `end`."""
+    """Growth rate and phase velocity of one wave from the sample nearest `begin` to that nearest `end`; NaN if one."""
     wave = mode(ds, wavenumber)
     i, j = (int(np.argmin(np.abs(ds.time.values - t))) for t in (begin, end))
     span = float(ds.time[j] - ds.time[i])
+    if span == 0:
+        return np.nan, np.nan
     growth = float(np.log(wave.amplitude[j] / wave.amplitude[i])) / span
     return growth, -float(wave.phase[j] - wave.phase[i]) / span / wavenumber
 
@@ -65,7 +72,7 @@ def coarse_grain(ds: xr.Dataset) -> xr.Dataset:
     """
     if "car_position" not in ds:
         return ds[["car_height", "contact_force"]]
-    length = scene_of(ds).road.length
+    length = _ring(ds)
     fields = {}
     for name in ("car_height", "contact_force"):
         values = np.empty((ds.time.size, ds.x.size))

@@ -3,35 +3,62 @@
 from __future__ import annotations
 
 import argparse
+import os
 import sys
+import warnings
 from pathlib import Path
 
-from .errors import SceneError, StabilityError, StoreError, TrafficRoadError
+from .errors import SceneError, StabilityError, StoreError, TrafficRoadError, shown
 
 BAD_INPUT, FAILED_RUN = 2, 1
+PICTURES = (".png", ".pdf", ".svg")
 
 
 def main(arguments=None) -> int:
     """Run one command; the exit status is 0, 2 for bad input, 1 for a failed run."""
-    parser = _parser()
-    options = parser.parse_args(arguments)
+    options = _parser().parse_args(arguments)
     try:
-        return options.command(options)
-    except TrafficRoadError as error:
+        with warnings.catch_warnings():
+            warnings.showwarning = lambda message, *where: _complain(f"warning: {message}")
+            status = options.command(options)
+        if sys.stdout is not None:
+            sys.stdout.flush()  # here, where a broken pipe is caught
+        return status
+    except BrokenPipeError:  # the reader of our output went away, as `head` does
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # or the interpreter complains on its way out
+        return FAILED_RUN
+    except KeyboardInterrupt:
+        _complain("interrupted; a file is either whole or not there")
+        return FAILED_RUN
+    except Exception as error:
         if options.debug:
             raise
-        print(f"traffic-road: {error}", file=sys.stderr)
+        if isinstance(error, TrafficRoadError):
+            _complain(error)
+        elif isinstance(error, MemoryError):
+            _complain("out of memory; use fewer nodes, samples or cars")
+        else:
+            _complain(
+                f"unexpected {type(error).__name__}: {error}; this is a fault of traffic_road, --debug shows where"
+            )
         return BAD_INPUT if isinstance(error, (SceneError, StabilityError, StoreError)) else FAILED_RUN
-    except KeyboardInterrupt:
-        print("traffic-road: interrupted; nothing was written", file=sys.stderr)
-        return FAILED_RUN
-    except BrokenPipeError:  # the reader of our output went away, as `head` does
-        sys.stderr.close()
-        return FAILED_RUN
+
+
+def _complain(message) -> None:
+    """One line on stderr, whatever the message holds."""
+    print("traffic-road:", " ".join(str(message).split()), file=sys.stderr)
+
+
+class _Parser(argparse.ArgumentParser):
+    """Errors in one line."""
+
+    def error(self, message):
+        _complain(f"{message}; see {self.prog} --help")
+        self.exit(BAD_INPUT)
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
+    parser = _Parser(
         prog="traffic-road", description="How traffic corrugates roads: discrete cars, the continuum, and their theory."
     )
     parser.add_argument("--debug", action="store_true", help="show the trace of an error")
@@ -62,6 +89,8 @@ def _parser() -> argparse.ArgumentParser:
     presets = commands.add_parser("presets", help="list the named scenes, or print one as TOML")
     presets.add_argument("name", nargs="?", help="the scene to print")
     presets.set_defaults(command=_presets)
+    for command in (compare, run, plot, presets):
+        command.add_argument("--debug", action="store_true", default=argparse.SUPPRESS, help=argparse.SUPPRESS)
     return parser
 
 
@@ -90,26 +119,49 @@ def _scene(name: str):
 
     if name in PRESETS:
         return preset(name)
-    if not Path(name).suffix and not Path(name).exists():
-        raise SceneError(f"scene {name!r}: neither a preset ({', '.join(PRESETS)}) nor a TOML file that exists")
+    if not os.path.isfile(name) and not name.endswith(".toml"):
+        raise SceneError(f"scene {shown(name)}: neither a preset ({', '.join(PRESETS)}) nor a TOML file that exists")
     return Scene.from_toml(name)
+
+
+def _refuse_output(options) -> None:
+    """StoreError before a long run, if the result could not be written or would overwrite the scene."""
+    from .store import refuse_unwritable
+
+    if Path(options.output).suffix in PICTURES:
+        raise StoreError(f"{options.output}: the ending of a picture; the result is netCDF, name it .nc")
+    if options.output == options.scene:
+        raise StoreError(f"{options.output}: would overwrite the scene; name another file")
+    refuse_unwritable(options.output)
+
+
+def _refuse_picture(path) -> None:
+    from .store import refuse_unwritable
+
+    if Path(path).suffix not in PICTURES:
+        raise StoreError(f"{path}: cannot write a picture of that kind; end its name in {', '.join(PICTURES)}")
+    refuse_unwritable(path)
 
 
 def _finish(*diverged: str) -> int:
     for line in diverged:
-        print(f"traffic-road: the run {line}; the file holds what came before", file=sys.stderr)
+        _complain(f"the run {line}; the file holds what came before")
     return FAILED_RUN if diverged else 0
+
+
+def _say_written(*paths) -> None:
+    line = "wrote " + " and ".join(map(str, paths))
+    print(line.encode(errors="backslashreplace").decode())  # a name that is not UTF-8 cannot be printed as it is
 
 
 def _compare(options) -> int:
     scene = _scene(options.scene)
+    _refuse_output(options)
     picture = Path(options.output).with_suffix(".png")
-    from .store import refuse_unwritable, save
-
-    for path in (options.output, picture):
-        refuse_unwritable(path)
+    _refuse_picture(picture)
     from .comparison import compare
     from .plots import compare_figure, save_figure
+    from .store import save
 
     ds = compare(
         scene, wavenumber=options.wavenumber, tolerance=options.tolerance, samples=options.samples, **_numerics(options)
@@ -117,7 +169,7 @@ def _compare(options) -> int:
     print(_table(ds))
     save(ds, options.output)
     save_figure(compare_figure(ds), picture)
-    print(f"wrote {options.output} and {picture}")
+    _say_written(options.output, picture)
     return _finish(*(s for s in (ds.attrs["cars_status"], ds.attrs["continuum_status"]) if s != "ok"))
 
 
@@ -147,12 +199,10 @@ def _table(ds) -> str:
 
 
 def _run(options) -> int:
-    from .store import refuse_unwritable
-
     scene = _scene(options.scene)
-    for path in (options.output, options.plot):
-        if path is not None:
-            refuse_unwritable(path)
+    _refuse_output(options)
+    if options.plot is not None:
+        _refuse_picture(options.plot)
     from .run import simulate
 
     ds = simulate(scene, options.model, options.tolerance, options.samples, output=options.output, **_numerics(options))
@@ -160,12 +210,12 @@ def _run(options) -> int:
         f"{ds.attrs['model']}: {ds.attrs['status']}, error estimate {ds.attrs['error_estimate']:.1e} "
         f"({ds.attrs['error_method']}), {ds.attrs['updates']} node updates in {ds.attrs['wall_time']:.3g} s"
     )
-    print(f"wrote {options.output}")
+    _say_written(options.output)
     if options.plot is not None:
         from .plots import run_figure, save_figure
 
         save_figure(run_figure(ds), options.plot)
-        print(f"wrote {options.plot}")
+        _say_written(options.plot)
     return _finish(*([ds.attrs["status"]] if ds.attrs["status"] != "ok" else []))
 
 
@@ -173,9 +223,15 @@ def _plot(options) -> int:
     from .plots import plot, save_figure
     from .store import open_dataset
 
-    picture = options.output or Path(options.file).with_suffix(".png")
-    save_figure(plot(open_dataset(options.file)), picture)
-    print(f"wrote {picture}")
+    ds = open_dataset(options.file)
+    if ds.attrs.get("unit_system") == "SI":
+        raise StoreError(
+            f"{options.file}: in SI units, figures are drawn in the paper's; name the file from before to_si"
+        )
+    picture = options.output if options.output is not None else Path(options.file).with_suffix(".png")
+    _refuse_picture(picture)
+    save_figure(plot(ds), picture)
+    _say_written(picture)
     return 0
 
 

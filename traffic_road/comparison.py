@@ -11,6 +11,7 @@ import xarray as xr
 from .analysis import coarse_grain, mean_rates, mode
 from .errors import SceneError
 from .laws import Constant, finite
+from .models import model
 from .profiles import whole_waves
 from .run import simulate
 from .store import provenance, variable
@@ -40,14 +41,15 @@ def compare(scene, *, wavenumber=None, tolerance=1e-3, samples=101, progress=Non
     differences from the cars' (source,), NaN where a theory does not apply. Rates are means over the linear stage, from
     10/(Gamma omega) until the first car is airborne: attributes window_begin and window_end.
     """
-    step = {"step": numerics.pop("step")} if "step" in numerics else {}
-    cars = simulate(scene, "cars", tolerance, samples, progress=progress, **numerics)
-    continuum = simulate(scene, "continuum", tolerance, samples, progress=progress, **step)
     if wavenumber is None:
         wavenumber = fastest_wave(scene)
     wavenumber = finite("wavenumber", wavenumber, above=0)
     whole_waves("wavenumber", wavenumber, scene.road.length)
-    common = min(cars.time.size, continuum.time.size)
+    step = {"step": numerics.pop("step")} if "step" in numerics else {}
+    model("continuum").numerics(scene, step)  # refuse what it refuses before the cars have run
+    cars = simulate(scene, "cars", tolerance, samples, progress=progress, **numerics)
+    continuum = simulate(scene, "continuum", tolerance, cars.time.values, progress=progress, **step)
+    common = min(cars.time.size, continuum.time.size)  # where one has diverged
     cars, continuum = cars.isel(time=slice(common)), continuum.isel(time=slice(common))
     fields = coarse_grain(cars)
     on_grid = {name: _on_grid(continuum[name].values, cars.x.size) for name in ("road_height", *fields.data_vars)}
@@ -60,7 +62,6 @@ def compare(scene, *, wavenumber=None, tolerance=1e-3, samples=101, progress=Non
     for name in ("car_height", "contact_force"):
         variables[f"{name}_at_car"] = variable(name, ("time", "car"), cars[name].values)
     variables["car_position"] = cars.car_position.variable
-    variables["continuum_time"] = variable("time", "time", continuum.time.values)
     begin, end = _linear_stage(scene, cars)
     growth, velocity = _rates(scene, cars, continuum, wavenumber, begin, end)
     for name, values in (("growth_rate", growth), ("phase_velocity", velocity)):

@@ -15,3 +15,12 @@ class StabilityError(TrafficRoadError, ValueError):
 
 class StoreError(TrafficRoadError, OSError):
     """A file that cannot be read, written or understood."""
+
+
+def shown(value) -> str:
+    """`value` in one short line, for a message."""
+    try:
+        text = " ".join(repr(value).split())
+    except ValueError:  # an int of more digits than Python prints
+        return f"<{type(value).__name__} too long to print>"
+    return text if len(text) <= 80 else text[:77] + "..."

@@ -1,69 +1,120 @@
 """The error of a run: how far its corrugation is, at the end, from what its model's own equations give.
 
 In the L2 norm over the road, mean removed, relative. Where the run is linear (identical evenly spaced cars, constant
-laws, no passage without contact) the Floquet matrix tells the growth rate of the scheme, and of one far finer: the error
-is their difference over the duration. Elsewhere a second run at half the resolution tells.
+laws, no passage without contact) it is the sum of two parts, each known apart from the other: waves, whose growth rates
+and shapes the Floquet matrix tells for the scheme and for a far finer one; and the ripple that passages leave on a uniform
+road, which one car on a ring of one headway shows. Elsewhere a second run of all at half the resolution tells.
 """
 
 from __future__ import annotations
+
+from dataclasses import replace
 
 import numpy as np
 
 from .laws import Constant
 from .models import Sample, model
 from .models.cars import even_start
-from .theory.floquet import floquet
+from .scene import Fleet, Road
+from .theory.floquet import floquet_mode
 
 STRONGEST = 8  # waves of the final road that stand for all of them
 FINE_ROWS = 96  # nodes a headway up to which a matrix of twice as many is still cheap
-RATIO = 2.0  # a pair differs by 3 x the error of the better run at order 2, by more at higher order
 
 
 def error_estimate(scene, name: str, numerics: dict, last: Sample) -> tuple[float, str]:
-    """Relative error of the corrugation of `last`, the run's final sample, and how it was found."""
-    if name == "cars" and _is_linear(scene, numerics, last):
-        return _by_growth_rates(scene, numerics, last), "growth rates of the scheme and of a finer one"
+    """Relative error of the corrugation of `last`, the run's final sample, and how it was found. NaN: cannot be told."""
     module = model(name)
-    coarse = module.coarser(scene, numerics)
-    if coarse is None:
-        return float("nan"), "none: half the resolution is too little to run"
-    *_, other = module.samples(scene, np.array([0.0, last.time]), coarse)
-    return corrugation_difference(last.road_height, other.road_height) / RATIO, "a second run at half the resolution"
+    size = np.linalg.norm(last.road_height - last.road_height.mean()) / np.sqrt(last.road_height.size)
+    if name == "cars" and _is_linear(scene, numerics, last):
+        error = np.hypot(_of_waves(scene, numerics, last), _of_ripple(scene, numerics, last))
+        method = "growth rates and ripple, of the scheme and of a finer one"
+    else:
+        coarse = module.coarser(scene, numerics)
+        if coarse is None:
+            return float("nan"), "none: half the resolution is too little to run"
+        *_, other = module.samples(scene, np.array([0.0, last.time]), coarse)
+        error = _distance(last.road_height, other.road_height) / module.PAIR_RATIO
+        method = "a second run at half the resolution"
+    rounding = np.finfo(float).eps * np.abs(last.road_height).max() * np.sqrt(last.updates / last.road_height.size)
+    if size <= rounding:
+        return 0.0, "none: the road is flat to rounding"
+    return float((error + rounding) / size), method
 
 
 def _is_linear(scene, numerics, last):
     laws = scene.road.softness, scene.road.diffusivity
-    contact = not scene.lift_off or last.airborne == 0
-    return (
-        contact and all(isinstance(law, Constant) for law in laws) and even_start(scene, numerics["nodes"]) is not None
-    )
+    if (scene.lift_off and last.airborne) or not all(isinstance(law, Constant) for law in laws):
+        return False
+    if 2 * scene.road.profile.highest_wave(scene.road.length) >= scene.fleet.count:
+        return False  # waves that the cars take for longer ones
+    return even_start(scene, numerics["nodes"]) is not None
 
 
-def _by_growth_rates(scene, numerics, last):
-    count, nodes = scene.fleet.count, numerics["nodes"]
-    rows = nodes // count
-    other = {"nodes": 2 * nodes, "hold": 5, "relax_every": 1}
+def _finer_scheme(rows: int, numerics: dict) -> tuple[int, dict]:
+    """Rows and numerics of the scheme to compare with: twice the rows, or half where that would be costly."""
     if rows > FINE_ROWS:
-        other = {**numerics, "nodes": count * (rows // 2)}
-    wave = np.abs(np.fft.rfft(last.road_height))[1:]
+        return rows // 2, {**numerics, "nodes": numerics["nodes"] // rows * (rows // 2)}
+    return 2 * rows, {"nodes": 2 * numerics["nodes"], "hold": 5, "relax_every": 1}
+
+
+def _of_waves(scene, numerics, last) -> float:
+    """Root mean square error of the road from the growth rates of its strongest waves."""
+    _, other = _finer_scheme(numerics["nodes"] // scene.fleet.count, numerics)
+    # of length two headways and more; shorter ones are the ripple of these and of the uniform road
+    wave = np.abs(np.fft.rfft(last.road_height))[1 : (scene.fleet.count + 1) // 2] * (
+        np.sqrt(2) / last.road_height.size
+    )
     if not wave.any():
         return 0.0
     strongest = np.argsort(wave)[-STRONGEST:]
     error = 0.0
     for n in strongest:
         k = 2 * np.pi * (n + 1) / scene.road.length
-        drift = (floquet(scene, k, **numerics) - floquet(scene, k, **other)) * last.time
-        error += (wave[n] * abs(np.expm1(drift))) ** 2
-    return float(np.sqrt(error / np.sum(wave[strongest] ** 2)))
+        (sigma, shape), (finer_sigma, finer_shape) = (floquet_mode(scene, k, **p) for p in (numerics, other))
+        grown = abs(np.expm1((sigma - finer_sigma) * last.time))
+        # the wave's own ripple, with steps at the wheels as well: first order in the grid
+        rippled = 2 * np.linalg.norm(_of_length(shape, finer_shape.size) - finer_shape)
+        error += wave[n] ** 2 * (grown**2 + rippled**2)
+    share = np.sum(wave[strongest] ** 2) / np.sum(wave**2)
+    return float(np.sqrt(error / share))
+
+
+def _of_length(shape, size):
+    """Components in the order of a transform, short waves added as zeros or left out."""
+    kept = (min(shape.size, size) - 1) // 2
+    out = np.zeros(size, dtype=complex)
+    out[: kept + 1] = shape[: kept + 1]
+    if kept:
+        out[-kept:] = shape[-kept:]
+    return out
+
+
+def _of_ripple(scene, numerics, last) -> float:
+    """Root mean square error of the ripple, first order in the grid since the wheel rolls down a step."""
+    rows = numerics["nodes"] // scene.fleet.count
+    fine, other = _finer_scheme(rows, numerics)
+    fleet = {name: float(scene.fleet.per_car(name)[0]) for name in ("damping", "speed", "frequency", "mass")}
+    one = replace(
+        scene,
+        road=Road(scene.headway, scene.road.softness, scene.road.diffusivity),
+        fleet=Fleet(1, **fleet, start=scene.fleet.start),
+    )
+    roads = []
+    for nodes, parameters in ((rows, numerics), (fine, other)):
+        *_, final = model("cars").samples(one, np.array([0.0, last.time]), {**parameters, "nodes": nodes})
+        roads.append(final.road_height)
+    return 2 * _distance(*roads)
+
+
+def _distance(height: np.ndarray, other: np.ndarray) -> float:
+    """Root mean square difference of two roads of the same ring on any two grids, mean removed."""
+    a, b = (np.fft.rfft(h)[1:] * (np.sqrt(2) / h.size) for h in (height, other))
+    size = max(a.size, b.size)
+    a, b = (np.pad(w, (0, size - w.size)) for w in (a, b))
+    return float(np.linalg.norm(a - b))
 
 
 def corrugation_difference(height: np.ndarray, other: np.ndarray) -> float:
-    """Relative L2 difference of two roads of the same ring on any two grids, mean removed."""
-    a, b = (np.fft.rfft(h)[1:] / h.size for h in (height, other))
-    size = max(a.size, b.size)
-    a, b = (np.pad(w, (0, size - w.size)) for w in (a, b))
-    norm = np.linalg.norm(a)
-    difference = np.linalg.norm(a - b)
-    if norm == 0:
-        return 0.0 if difference == 0 else float("inf")
-    return float(difference / norm)
+    """Difference of two roads of the same ring on any two grids, mean removed, relative to the first."""
+    return _distance(height, other) / _distance(height, np.zeros(1))

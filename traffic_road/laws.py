@@ -10,27 +10,46 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .errors import SceneError
+from .errors import SceneError, shown
 
 CONSTANT, EXPONENTIAL, BOUNDED = 0, 1, 2
 
 
-def finite(name: str, value, *, above: float | None = None, least: float | None = None, remedy: str = "") -> float:
-    """`value` as a float; SceneError if it is not a finite number > `above` or >= `least`."""
+def finite(
+    name: str,
+    value,
+    *,
+    above: float | None = None,
+    least: float | None = None,
+    most: float | None = None,
+    remedy: str = "",
+) -> float:
+    """`value` as a float; SceneError if it is not a finite number > `above`, >= `least`, <= `most` in size."""
     allowed = "a finite number"
     if above is not None:
         allowed += f" > {above:g}"
     if least is not None:
         allowed += f" >= {least:g}"
+    if most is not None:
+        allowed += f", at most {most:g} in size"
     try:
-        if isinstance(value, (bool, str)):
+        plain = np.asarray(value)
+        if plain.ndim or plain.dtype.kind not in "iufO":  # float() would take True, "1", b"1" and [1]
             raise TypeError
         number = float(value)
     except (TypeError, ValueError, OverflowError):
-        raise SceneError(f"{name} = {value!r}: must be {allowed}{remedy and '; ' + remedy}") from None
-    if not np.isfinite(number) or (above is not None and number <= above) or (least is not None and number < least):
-        raise SceneError(f"{name} = {value!r}: must be {allowed}{remedy and '; ' + remedy}")
+        number = np.nan
+    low = (above is not None and number <= above) or (least is not None and number < least)
+    if not np.isfinite(number) or low or (most is not None and abs(number) > most):
+        raise SceneError(f"{name} = {shown(value)}: must be {allowed}{remedy and '; ' + remedy}")
     return number
+
+
+def whole(name: str, value, least: int, most: int) -> int:
+    """`value` as an int; SceneError if it is not a whole number from `least` to `most`."""
+    if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or not least <= value <= most:
+        raise SceneError(f"{name} = {shown(value)}: must be a whole number >= {least} and <= {most}")
+    return int(value)
 
 
 @dataclass(frozen=True)

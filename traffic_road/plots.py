@@ -36,7 +36,7 @@ def compare_figure(ds: xr.Dataset) -> Figure:
     figure, amplitude, kymograph, final = _panels(f"Cars, continuum and theory at wavenumber {k:.4g} $\\omega_0/v$")
     times, cars = ds.time.values, ds.amplitude.sel(model="cars").values
     amplitude.semilogy(times, cars, "o", color=BLUE, ms=4, mfc="none", label="cars", markevery=max(1, times.size // 40))
-    amplitude.semilogy(ds.continuum_time, ds.amplitude.sel(model="continuum"), "-", color=ORANGE, label="continuum")
+    amplitude.semilogy(times, ds.amplitude.sel(model="continuum"), "-", color=ORANGE, label="continuum")
     begin, end = ds.attrs["window_begin"], ds.attrs["window_end"]
     at = int(np.argmin(np.abs(times - begin)))
     theory = (

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from .errors import SceneError
+from .errors import SceneError, shown
 from .profiles import Noise, Sine
 from .scales import Scales
 from .scene import Fleet, Road, Scene
@@ -20,18 +20,19 @@ def paper() -> Scene:
 
 
 def gravel() -> Scene:
-    """A gravel road, 200 vehicles a day at 40 km/h, ten days from a freshly bladed surface.
+    """A gravel road, 200 vehicles a day at 40 km/h, fourteen days from a freshly bladed surface.
 
     Typical measured values: wheel hop near 11 Hz (10 to 15 Hz for cars and light trucks), damping ratio of the wheel
     0.3 (0.2 to 0.4), speed and flux of a minor rural road. Guesses: the road sinks 10 micrometres per passage of the
     static load (a loose, dry surface), and its diffusion per passage is set so that the critical speed
     v_c^2 = 4 Gamma (1 - Gamma) g D / sink is 22.5 km/h; the initial roughness (rms 0.04 mm below 1.6 m wavelength) is
-    what a blade may leave at these wavelengths. Nothing here hardens.
+    what a blade may leave at these wavelengths. Nothing here hardens, and the softness lies beyond the limit up to which
+    waves saturate: the corrugation takes cars into the air in the second week and grows until the grader comes back.
     """
     scales = Scales(speed=40 / 3.6, frequency=11.0, vehicles_per_day=200.0)
     damping, critical_speed, sink_per_passage = 0.3, 22.5 / 3.6, 1.0e-5
     diffusion_per_passage = critical_speed**2 * sink_per_passage / (4 * damping * (1 - damping) * scales.gravity)
-    waves, cars_per_wave, wavenumber, days = 12, 8, 0.7, 10
+    waves, cars_per_wave, wavenumber, days = 12, 8, 0.7, 14
     length = 2 * np.pi * waves / wavenumber
     headway = length / (waves * cars_per_wave)
     return Scene(
@@ -52,6 +53,6 @@ PRESETS = {"paper": paper, "gravel": gravel}
 
 def preset(name: str) -> Scene:
     """The scene called `name`; SceneError if there is none."""
-    if name not in PRESETS:
-        raise SceneError(f"preset {name!r}: there is none of that name; choose {' or '.join(PRESETS)}")
+    if not isinstance(name, str) or name not in PRESETS:
+        raise SceneError(f"preset {shown(name)}: there is none of that name; choose {' or '.join(PRESETS)}")
     return PRESETS[name]()

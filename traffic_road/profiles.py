@@ -9,13 +9,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .errors import SceneError
-from .laws import finite
+from .errors import SceneError, shown
+from .laws import finite, whole
+
+MOST_WAVES = 10_000_000  # on a ring: no machine holds the road of more
+HIGHEST = 1e9  # height, far beyond any road, from which sums and squares still do not overflow
 
 
 def whole_waves(name: str, wavenumber: float, length: float) -> int:
     """How many waves of `wavenumber` fit the ring; SceneError unless a whole number."""
     waves = wavenumber * length / (2 * np.pi)
+    _refuse_many(name, wavenumber, waves, length)
     number = round(waves)
     if number < 1 or abs(waves - number) > 1e-9 * number:
         near = max(number, 1)
@@ -24,6 +28,14 @@ def whole_waves(name: str, wavenumber: float, length: float) -> int:
             f"use wavenumber {2 * np.pi * near / length:.15g} or length {2 * np.pi * near / wavenumber:.15g}"
         )
     return number
+
+
+def _refuse_many(name: str, wavenumber: float, waves: float, length: float) -> None:
+    if waves > MOST_WAVES:
+        raise SceneError(
+            f"{name} = {wavenumber!r}: {waves:.3g} waves on a ring of length {length:.6g}, must be at most {MOST_WAVES}; "
+            "use a shorter ring or a lower wavenumber"
+        )
 
 
 def _resolved(waves: int, nodes: int) -> None:
@@ -42,7 +54,7 @@ class Sine:
     phase: float = 0.0
 
     def __post_init__(self):
-        object.__setattr__(self, "amplitude", finite("Sine.amplitude", self.amplitude))
+        object.__setattr__(self, "amplitude", finite("Sine.amplitude", self.amplitude, most=HIGHEST))
         object.__setattr__(self, "wavenumber", finite("Sine.wavenumber", self.wavenumber, above=0))
         object.__setattr__(self, "phase", finite("Sine.phase", self.phase))
 
@@ -53,7 +65,8 @@ class Sine:
         """Heights at x = 0, dx, ..., shape (nodes,)."""
         waves = self.highest_wave(length)
         _resolved(waves, nodes)
-        return self.amplitude * np.sin(2 * np.pi * waves * np.arange(nodes) / nodes + self.phase)
+        turns = waves * np.arange(nodes) % nodes / nodes  # angles of many turns would lose digits
+        return self.amplitude * np.sin(2 * np.pi * turns + self.phase % (2 * np.pi))
 
 
 @dataclass(frozen=True)
@@ -68,14 +81,14 @@ class Noise:
     seed: int = 0
 
     def __post_init__(self):
-        object.__setattr__(self, "rms", finite("Noise.rms", self.rms, least=0))
+        object.__setattr__(self, "rms", finite("Noise.rms", self.rms, least=0, most=HIGHEST))
         object.__setattr__(self, "max_wavenumber", finite("Noise.max_wavenumber", self.max_wavenumber, above=0))
-        if isinstance(self.seed, bool) or not isinstance(self.seed, (int, np.integer)) or self.seed < 0:
-            raise SceneError(f"Noise.seed = {self.seed!r}: must be a whole number >= 0")
-        object.__setattr__(self, "seed", int(self.seed))
+        object.__setattr__(self, "seed", whole("Noise.seed", self.seed, 0, 2**63 - 1))
 
     def highest_wave(self, length: float) -> int:
-        waves = int(np.floor(self.max_wavenumber * length / (2 * np.pi) * (1 + 1e-12)))
+        waves = self.max_wavenumber * length / (2 * np.pi)
+        _refuse_many("Noise.max_wavenumber", self.max_wavenumber, waves, length)
+        waves = int(np.floor(waves * (1 + 1e-12)))
         if waves < 1:
             raise SceneError(
                 f"Noise.max_wavenumber = {self.max_wavenumber!r}: no wave of a ring of length {length:.6g} is that long; "
@@ -103,34 +116,44 @@ class Heights:
 
     def __post_init__(self):
         try:
-            values = np.asarray(self.values, dtype=float)
-        except (TypeError, ValueError):
-            raise SceneError("profile: an array of heights must hold numbers only") from None
+            values = np.asarray(self.values)
+        except ValueError:  # rows of different lengths
+            values = np.array(None)
+        if values.size and values.dtype.kind not in "iuf":
+            raise SceneError(f"profile = {shown(self.values)}: an array of heights must hold numbers only, in one row")
+        values = values.astype(float)
         if values.ndim != 1 or values.size < 1:
             raise SceneError(f"profile: an array of heights must have shape (nodes,), not {values.shape}")
-        if not np.all(np.isfinite(values)):
-            first = int(np.argmin(np.isfinite(values)))
-            raise SceneError(f"profile: height {first} is {values[first]}, must be finite")
+        usable = np.abs(values) <= HIGHEST  # false for NaN, too
+        if not np.all(usable):
+            first = int(np.argmin(usable))
+            raise SceneError(
+                f"profile: height {first} is {values[first]}, must be a finite number <= {HIGHEST:g} in size; mend or drop it"
+            )
         object.__setattr__(self, "values", tuple(values.tolist()))
 
     def highest_wave(self, length: float) -> int:
-        return (len(self.values) - 1) // 2
+        return self._spectrum().size - 1
+
+    def _spectrum(self) -> np.ndarray:
+        """Fourier coefficients from wave 0 to the highest that is more than rounding."""
+        spectrum = np.fft.rfft(self.values, norm="forward")
+        size = np.abs(spectrum)
+        significant = np.flatnonzero(size > 1e-14 * size.max())
+        return spectrum[: significant[-1] + 1] if significant.size else spectrum[:1]
 
     def sample(self, length: float, nodes: int) -> np.ndarray:
         """Heights at x = 0, dx, ..., shape (nodes,); exactly the given ones if there are as many."""
-        values = np.asarray(self.values)
-        if nodes == values.size:
-            return values
-        spectrum = np.fft.rfft(values) / values.size
-        size = np.abs(spectrum)
-        significant = np.flatnonzero(size > 1e-14 * size.max())
-        waves = int(significant[-1]) if significant.size else 0
+        if nodes == len(self.values):
+            return np.asarray(self.values)
+        spectrum = self._spectrum()
+        waves = spectrum.size - 1
         _resolved(waves, nodes)
+        if waves > 0 and 2 * waves == len(self.values):
+            spectrum[waves] /= 2  # the shortest wave of an even grid stands for a pair of waves
         coefficients = np.zeros(nodes // 2 + 1, dtype=complex)
-        coefficients[: waves + 1] = spectrum[: waves + 1]
-        if values.size % 2 == 0 and waves == values.size // 2:
-            coefficients[waves] /= 2  # the shortest wave of an even grid stands for a pair of waves
-        return np.fft.irfft(coefficients * nodes, n=nodes)
+        coefficients[: waves + 1] = spectrum
+        return np.fft.irfft(coefficients, n=nodes, norm="forward")
 
 
 PROFILES = {"sine": Sine, "noise": Noise, "heights": Heights}
@@ -142,6 +165,8 @@ def as_profile(profile) -> Sine | Noise | Heights:
         return Heights((0.0,))
     if isinstance(profile, tuple(PROFILES.values())):
         return profile
-    if isinstance(profile, str) or not np.iterable(profile):
-        raise SceneError(f"profile = {profile!r}: must be Sine, Noise, an array of heights, or None for a flat road")
+    if isinstance(profile, (str, bytes, dict, set)) or not np.iterable(profile):
+        raise SceneError(
+            f"profile = {shown(profile)}: must be Sine, Noise, an array of heights, or None for a flat road"
+        )
     return Heights(profile)

@@ -11,10 +11,11 @@ from tqdm import tqdm
 
 from .errors import SceneError
 from .estimate import error_estimate
-from .laws import finite
+from .laws import finite, whole
 from .models import Sample, model
 from .store import assemble, refuse_unwritable, save
 
+MOST_SAMPLES = 10_000_000
 RUNAWAY = 1e12  # corrugation (g/omega_0^2) beyond which the road has blown up and rounding eats what is left
 REFINEMENTS = 4  # doublings of the default resolution before a tolerance is given up
 
@@ -24,7 +25,8 @@ def simulate(scene, model="auto", tolerance=1e-3, samples=101, *, output=None, p
 
     model: "cars", "continuum", or "auto" (the cars, which are what a scene describes). tolerance: relative error of the
     corrugation (L2 over the road, mean removed) at the end; where no resolution is given the default is refined until the
-    estimate meets it. samples: number of times, evenly spaced from 0 to the duration. Numerics override the default:
+    estimate meets it. samples: number of times, evenly spaced from 0 to the duration, or the times
+    themselves. Numerics override the default:
     nodes, hold, relax_every for "cars", nodes, step for "continuum". output: netCDF file to write. progress: True, False,
     a callable that is given the fraction done, or None for a bar after two seconds if there is a terminal.
 
@@ -34,20 +36,32 @@ def simulate(scene, model="auto", tolerance=1e-3, samples=101, *, output=None, p
     """
     name = "cars" if model == "auto" else model
     finite("tolerance", tolerance, above=0)
-    if isinstance(samples, bool) or not isinstance(samples, (int, np.integer)) or samples < 2:
-        raise SceneError(f"samples = {samples!r}: must be a whole number >= 2 (the start and the end)")
     if output is not None:
         refuse_unwritable(output)
-    ds = _run(scene, name, finite("tolerance", tolerance), int(samples), numerics, progress)
+    ds = _run(scene, name, finite("tolerance", tolerance), _times(scene, samples), numerics, progress)
     if output is not None:
         save(ds, output)
     return ds
 
 
-def _run(scene, name, tolerance, samples, given, progress):
+def _times(scene, samples) -> np.ndarray:
+    if np.ndim(samples) == 0:
+        return np.linspace(0.0, scene.duration, whole("samples", samples, 2, MOST_SAMPLES))
+    times = np.asarray(samples, dtype=float)
+    if (
+        times.ndim != 1
+        or times.size < 2
+        or times[0] != 0
+        or not np.all(np.diff(times) > 0)
+        or not np.isfinite(times[-1])
+    ):
+        raise SceneError("samples: times must be two or more, increase, and begin with 0; or give their number")
+    return times
+
+
+def _run(scene, name, tolerance, times, given, progress):
     module = model(name)
     numerics = module.numerics(scene, given)
-    times = np.linspace(0.0, scene.duration, samples)
     for attempt in range(REFINEMENTS + 1):
         begin = clock.perf_counter()
         taken, status = _collect(scene, module, times, numerics, progress)
@@ -92,6 +106,11 @@ def _collect(scene, module, times, numerics, progress) -> tuple[list[Sample], st
     disable = None if progress is None else progress is not True
     with np.errstate(all="ignore"), tqdm(total=len(times), delay=2, disable=disable, leave=False, unit="sample") as bar:
         for sample in module.samples(scene, times, numerics):
+            if not healthy(sample) and not taken:
+                raise SceneError(
+                    f"scene: corrugation {np.ptp(sample.road_height):.3g} at the start, must be finite and < {RUNAWAY:g}; "
+                    "lower the profile"
+                )
             if not healthy(sample):
                 status = f"diverged between time {taken[-1].time:.6g} and {sample.time:.6g}"
                 break

@@ -12,10 +12,12 @@ from dataclasses import dataclass
 import numpy as np
 import xarray as xr
 
-from .errors import SceneError
+from .errors import SceneError, shown
 from .laws import finite
 
 SECONDS_PER_DAY = 86400.0
+# the scale of a dimensionless value, as its variable's attribute names it
+LENGTH, HEIGHT, TIME, RATE, VELOCITY = "v/omega_0", "g/omega_0^2", "1/omega_0", "omega_0", "v"
 
 
 @dataclass(frozen=True)
@@ -66,22 +68,32 @@ def to_si(ds: xr.Dataset, scales: Scales) -> xr.Dataset:
     """A result in metres, seconds of traffic and passages; forces stay in units of the static load.
 
     `time` becomes the seconds that the passages so far take at `vehicles_per_day`; the coordinate `passages(time)`
-    counts them. Every variable keeps its dimensions. SceneError if the Dataset is in SI units already.
+    counts them. Rates and velocities of a wave of the road are by that time, too. Every variable keeps its dimensions,
+    attributes of the Dataset stay as they are. SceneError if the Dataset is in SI units already, or no result.
     """
+    if not isinstance(scales, Scales):
+        raise SceneError(f"to_si: scales = {shown(scales)}: must be Scales(speed, frequency, vehicles_per_day)")
     if ds.attrs.get("unit_system") == "SI":
-        raise SceneError("to_si: the Dataset is in SI units already")
+        raise SceneError("to_si: the Dataset is in SI units already; give the one that simulate returned")
+    if "passages_per_time" not in ds.attrs:
+        raise SceneError("to_si: attribute 'passages_per_time' is missing; give a result of simulate or compare")
     # passages at a fixed point per unit of time, from the scene that the Dataset carries
     passages = ds["time"].values * float(ds.attrs["passages_per_time"])
+    second = float(ds.attrs["passages_per_time"]) * SECONDS_PER_DAY / scales.vehicles_per_day
+    units = {
+        LENGTH: (scales.length, "m"),
+        HEIGHT: (scales.height, "m"),
+        TIME: (second, "s"),
+        RATE: (1 / second, "s-1"),
+        VELOCITY: (scales.length / second, "m s-1"),
+    }
     out = ds.copy()
-    for name in ("road_height", "car_height"):
-        out[name] = (ds[name].dims, ds[name].values * scales.height, {**ds[name].attrs, "units": "m"})
-    for name in ("x", "car_position"):
-        if name in ds.variables:
-            out[name] = (ds[name].dims, ds[name].values * scales.length, {**ds[name].attrs, "units": "m"})
-    seconds = passages * SECONDS_PER_DAY / scales.vehicles_per_day
-    out["time"] = ("time", seconds, {**ds["time"].attrs, "units": "s", "long_name": "time of traffic"})
+    for name, values in ds.variables.items():
+        if values.attrs.get("scale") in units:
+            factor, unit = units[values.attrs["scale"]]
+            attributes = {key: value for key, value in values.attrs.items() if key != "scale"} | {"units": unit}
+            out[name] = (values.dims, values.values * factor, attributes)
+    out["time"].attrs["long_name"] = "time of traffic"
     out = out.assign_coords(passages=("time", passages, {"units": "1", "long_name": "passages at a fixed point"}))
-    for variable in out.variables.values():
-        variable.attrs.pop("scale", None)
     out.attrs["unit_system"] = "SI"
     return out

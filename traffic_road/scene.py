@@ -7,18 +7,19 @@ frequency omega_0, speed v and mass 1.
 from __future__ import annotations
 
 import tomllib
-from dataclasses import dataclass, field, fields
+from dataclasses import MISSING, dataclass, field, fields
 from pathlib import Path
 
 import numpy as np
 import tomli_w
 
-from .errors import SceneError
-from .laws import LAWS, Bounded, Constant, Exponential, as_law, finite
+from .errors import SceneError, shown
+from .laws import LAWS, Bounded, Constant, Exponential, as_law, finite, whole
 from .profiles import PROFILES, Heights, Noise, Sine, as_profile
 from .scales import Scales
 
 START = ("settled", "rest")
+MOST_CARS = 10_000_000
 
 
 @dataclass(frozen=True)
@@ -58,9 +59,7 @@ class Fleet:
     start: str = "settled"
 
     def __post_init__(self):
-        if isinstance(self.count, bool) or not isinstance(self.count, (int, np.integer)) or self.count < 1:
-            raise SceneError(f"Fleet.count = {self.count!r}: must be a whole number >= 1")
-        object.__setattr__(self, "count", int(self.count))
+        object.__setattr__(self, "count", whole("Fleet.count", self.count, 1, MOST_CARS))
         for name, bound in (
             ("damping", {"least": 0.0}),
             ("speed", {"above": 0.0}),
@@ -75,11 +74,11 @@ class Fleet:
             if len(position) != self.count:
                 raise SceneError(f"Fleet.position has {len(position)} values for {self.count} cars: give one per car")
             object.__setattr__(self, "position", position)
-        if self.start not in START:
-            raise SceneError(f"Fleet.start = {self.start!r}: must be one of {', '.join(START)}")
+        if not isinstance(self.start, str) or self.start not in START:
+            raise SceneError(f"Fleet.start = {shown(self.start)}: must be one of {', '.join(START)}")
 
     def _per_car(self, name, value, bound):
-        if isinstance(value, str) or not np.iterable(value):
+        if isinstance(value, (str, bytes, dict, set)) or not np.iterable(value):
             return finite(f"Fleet.{name}", value, **bound)
         values = tuple(finite(f"Fleet.{name}[{i}]", v, **bound) for i, v in enumerate(value))
         if len(values) != self.count:
@@ -96,7 +95,8 @@ class Fleet:
         """Positions at the start on a ring of `length`, in [0, length), shape (count,)."""
         if self.position is None:
             return np.arange(self.count) * (length / self.count)
-        return np.mod(self.position, length)
+        position = np.mod(self.position, length)
+        return np.where(position < length, position, 0.0)  # -1e-20 modulo the ring rounds to its length
 
 
 @dataclass(frozen=True)
@@ -115,12 +115,12 @@ class Scene:
     def __post_init__(self):
         for name, kind in (("road", Road), ("fleet", Fleet)):
             if not isinstance(getattr(self, name), kind):
-                raise SceneError(f"Scene.{name} = {getattr(self, name)!r}: must be a {kind.__name__}")
+                raise SceneError(f"Scene.{name} = {shown(getattr(self, name))}: must be a {kind.__name__}")
         if self.scales is not None and not isinstance(self.scales, Scales):
-            raise SceneError(f"Scene.scales = {self.scales!r}: must be Scales or None")
+            raise SceneError(f"Scene.scales = {shown(self.scales)}: must be Scales or None")
         object.__setattr__(self, "duration", finite("Scene.duration", self.duration, above=0))
         if not isinstance(self.lift_off, (bool, np.bool_)):
-            raise SceneError(f"Scene.lift_off = {self.lift_off!r}: must be True or False")
+            raise SceneError(f"Scene.lift_off = {shown(self.lift_off)}: must be True or False")
         object.__setattr__(self, "lift_off", bool(self.lift_off))
         if self.fleet.position is not None:
             self._refuse_shared_positions()
@@ -149,7 +149,7 @@ class Scene:
         return self.road.length / float(self.fleet.per_car("speed").sum())
 
     def to_dict(self) -> dict:
-        """Plain numbers, strings, lists and dicts that rebuild the scene; defaults are left out."""
+        """Plain numbers, strings, lists and dicts that rebuild the scene; what is None is left out."""
         out: dict = {"duration": self.duration, "lift_off": self.lift_off}
         road = {"length": self.road.length}
         for name in ("softness", "diffusivity"):
@@ -187,8 +187,9 @@ class Scene:
         if path is not None:
             try:
                 Path(path).write_text(text, encoding="utf-8")
-            except OSError as error:
-                raise SceneError(f"{path}: cannot write the scene: {error.strerror or error}") from None
+            except (OSError, ValueError, TypeError) as error:
+                reason = getattr(error, "strerror", None) or error
+                raise SceneError(f"{path}: cannot write the scene: {reason}; name a file in a folder") from None
         return text
 
     @classmethod
@@ -196,9 +197,10 @@ class Scene:
         """The scene in the TOML file at `path`; SceneError if it is missing, broken or not a scene."""
         try:
             data = tomllib.loads(Path(path).read_text(encoding="utf-8"))
-        except (OSError, ValueError) as error:  # ValueError: broken TOML, not UTF-8, a NUL in the path
+        except (OSError, ValueError, TypeError, RecursionError) as error:
+            # ValueError: broken TOML, not UTF-8, a NUL in the path; RecursionError: brackets in thousands
             reason = getattr(error, "strerror", None) or error
-            raise SceneError(f"{path}: cannot read the scene: {reason}") from None
+            raise SceneError(f"{path}: cannot read the scene: {reason}; it must be a TOML file in UTF-8") from None
         try:
             return cls.from_dict(data)
         except SceneError as error:
@@ -207,19 +209,19 @@ class Scene:
 
 def _table(where, data) -> dict:
     if not isinstance(data, dict):
-        raise SceneError(f"{where} = {data!r}: must be a table of keys and values")
+        raise SceneError(f"{where} = {shown(data)}: must be a table of keys and values")
     return dict(data)
 
 
 def _build(kind, where, data):
     names = [f.name for f in fields(kind)]
-    unknown = sorted(set(data) - set(names))
-    if unknown:
-        raise SceneError(f"{where}: unknown key {unknown[0]!r}; allowed are {', '.join(names)}")
-    try:
-        return kind(**data)
-    except TypeError as error:  # a missing key: say which, without the constructor's wording
-        raise SceneError(f"{where}: {str(error).split('__init__() ')[-1]}") from None
+    for key in data:
+        if key not in names:
+            raise SceneError(f"{where}: unknown key {shown(key)}; allowed are {', '.join(names)}")
+    for f in fields(kind):
+        if f.default is MISSING and f.name not in data:
+            raise SceneError(f"{where}: key {f.name!r} is missing; add it")
+    return kind(**data)
 
 
 def _law_to_plain(law):
@@ -234,6 +236,6 @@ def _tagged(value, kinds, tag):
 
 def _untagged(where, data, kinds, tag):
     name = data.get(tag)
-    if name not in kinds:
-        raise SceneError(f"{where}.{tag} = {name!r}: must be one of {', '.join(kinds)}")
+    if not isinstance(name, str) or name not in kinds:
+        raise SceneError(f"{where}.{tag} = {shown(name)}: must be one of {', '.join(kinds)}")
     return _build(kinds[name], where, {k: v for k, v in data.items() if k != tag})

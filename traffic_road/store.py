@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import os
+import shlex
+import stat
 import sys
 import tempfile
 from datetime import UTC, datetime
@@ -13,11 +15,13 @@ from pathlib import Path
 import numpy as np
 import xarray as xr
 
-from .errors import StoreError
+from .errors import StoreError, TrafficRoadError, shown
+from .scales import HEIGHT, LENGTH, RATE, TIME, VELOCITY
 from .scene import Scene
 
 SCHEMA = 1
-LENGTH, HEIGHT, TIME, FORCE = "v/omega_0", "g/omega_0^2", "1/omega_0", "static load of the reference car"
+TEMPORARY = ".traffic_road-"  # how names of unfinished files begin
+FORCE = "static load of the reference car"
 
 # name: (long_name, scale of the dimensionless value)
 VARIABLES = {
@@ -30,8 +34,8 @@ VARIABLES = {
     "car_position": ("last node that the car has crossed", LENGTH),
     "amplitude": ("amplitude of one wave of the road", HEIGHT),
     "phase": ("phase of one wave of the road, unwrapped", None),
-    "growth_rate": ("growth rate of one wave of the road", "omega_0"),
-    "phase_velocity": ("velocity of one wave of the road", "v"),
+    "growth_rate": ("growth rate of one wave of the road", RATE),
+    "phase_velocity": ("velocity of one wave of the road", VELOCITY),
     "model": ("how the road was computed", None),
     "source": ("where a growth rate comes from", None),
     "growth_rate_difference": ("growth rate relative to that of the cars, minus 1", None),
@@ -60,11 +64,12 @@ def variable(name: str, dims, values) -> xr.Variable:
 
 def provenance(scene: Scene, title: str) -> dict:
     """Dataset attributes that say what was run, by what, when."""
+    command = shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]]).encode("ascii", "backslashreplace").decode()
     attributes = {
         "Conventions": "CF-1.11",
         "title": title,
         "source": f"traffic_road {version('traffic_road')}",
-        "history": f"{datetime.now(UTC):%Y-%m-%dT%H:%M:%SZ} {Path(sys.argv[0]).name} {' '.join(sys.argv[1:])}".strip(),
+        "history": f"{datetime.now(UTC):%Y-%m-%dT%H:%M:%SZ} {command}",
         "references": "J. A. Both, D. C. Hong and D. A. Kurtze, Corrugation of roads, Physica A 301 (2001) 545-559",
         "schema": SCHEMA,
         "scene": json.dumps(scene.to_dict()),
@@ -98,33 +103,57 @@ def assemble(scene: Scene, model: str, numerics: dict, samples: list, outcome: d
 
 def refuse_unwritable(path) -> None:
     """StoreError now rather than after a long run, if nothing could be written at `path`."""
-    path = Path(path)
-    if path.is_dir():
-        raise StoreError(f"{path}: cannot write: it is a folder; name a file in it")
     try:
-        with tempfile.NamedTemporaryFile(dir=path.parent, prefix=f".{path.name}."):
+        with tempfile.NamedTemporaryFile(dir=_target(path).parent, prefix=TEMPORARY):
             pass
-    except (OSError, ValueError) as error:
-        raise StoreError(f"{path}: cannot write there: {getattr(error, 'strerror', None) or error}") from None
+    except (OSError, ValueError, TypeError) as error:
+        raise _unwritable(path, error) from None
 
 
 def replace_file(path, write) -> None:
-    """Call write(temporary path in the same folder), then rename: `path` is the old file or the whole new one."""
-    path = Path(path)
-    refuse_unwritable(path)
-    handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.", suffix=path.suffix)
-    os.close(handle)
+    """Call write(temporary path in the same folder), then rename: `path` is the old file or the whole new one.
+
+    StoreError if it cannot be written; whatever happens, no temporary file is left.
+    """
+    temporary = None
     try:
+        target = _target(path)
+        handle, temporary = tempfile.mkstemp(dir=target.parent, prefix=TEMPORARY, suffix=target.suffix)
+        os.close(handle)
         write(temporary)
         mask = os.umask(0)
         os.umask(mask)
         os.chmod(temporary, 0o666 & ~mask)  # mkstemp's own mode would hide the file from everybody else
-        os.replace(temporary, path)
-    except OSError as error:
-        raise StoreError(f"{path}: cannot write: {error.strerror or error}") from None
+        os.replace(temporary, target)
+    except (OSError, RuntimeError, ValueError, TypeError) as error:  # netCDF4 says RuntimeError when the disk is full
+        raise _unwritable(path, error) from error
     finally:
-        if os.path.exists(temporary):
+        if temporary is not None and os.path.exists(temporary):
             os.unlink(temporary)
+
+
+def _target(path) -> Path:
+    """The file that `path` means, links followed; OSError if it is a folder or a device, or its name is too long."""
+    target = Path(os.path.realpath(path))
+    try:
+        mode = os.lstat(target).st_mode
+    except FileNotFoundError:
+        return target
+    if stat.S_ISDIR(mode):
+        raise OSError("it is a folder; name a file in it")
+    if not stat.S_ISREG(mode):  # a rename would put a file in the place of /dev/null
+        raise OSError("it is no regular file; name another")
+    return target
+
+
+def _unwritable(path, error: Exception) -> StoreError:
+    remedy = "; name a file in a folder that exists and can be written" if getattr(error, "strerror", None) else ""
+    return StoreError(f"{path}: cannot write: {_reason(error)}{remedy}")
+
+
+def _reason(error: Exception) -> str:
+    """What went wrong, in one line."""
+    return getattr(error, "strerror", None) or (str(error).splitlines() or [type(error).__name__])[0]
 
 
 def save(ds: xr.Dataset, path) -> None:
@@ -143,20 +172,27 @@ def open_dataset(path) -> xr.Dataset:
     try:
         with xr.open_dataset(path, engine="netcdf4", decode_times=False) as stored:
             ds = stored.load()
-    except (OSError, ValueError, RuntimeError, KeyError) as error:
-        reason = getattr(error, "strerror", None) or str(error).splitlines()[0]
-        raise StoreError(f"{path}: cannot read as netCDF: {reason}") from None
+    except (OSError, ValueError, RuntimeError, KeyError, TypeError, AttributeError) as error:
+        raise StoreError(
+            f"{path}: cannot read as netCDF: {_reason(error)}; name a file written by traffic_road"
+        ) from None
     if "schema" not in ds.attrs:
         raise StoreError(f"{path}: no result of traffic_road: attribute 'schema' is missing; name a file written by it")
-    if int(ds.attrs["schema"]) > SCHEMA:
-        raise StoreError(
-            f"{path}: schema {ds.attrs['schema']} is newer than {SCHEMA}, which this version reads; update it"
-        )
-    for values in ds.variables.values():
+    schema = ds.attrs["schema"]
+    if not isinstance(schema, (int, np.integer)) or schema > SCHEMA:
+        raise StoreError(f"{path}: schema {shown(schema)} is newer than {SCHEMA}, which this version reads; update it")
+    for name, values in list(ds.variables.items()):
         values.encoding.clear()
+        if values.dtype.kind == "O":
+            ds[name] = values.astype(str)  # as it was saved
     return ds
 
 
 def scene_of(ds: xr.Dataset) -> Scene:
-    """The scene that a result was computed from."""
-    return Scene.from_dict(json.loads(ds.attrs["scene"]))
+    """The scene that a result was computed from. StoreError if it does not carry one."""
+    try:
+        return Scene.from_dict(json.loads(ds.attrs["scene"]))
+    except (KeyError, TypeError, ValueError, TrafficRoadError) as error:
+        raise StoreError(
+            f"attribute 'scene' of the Dataset is missing or damaged: {shown(error)}; run it again"
+        ) from None

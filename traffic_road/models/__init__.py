@@ -1,10 +1,11 @@
-"""Models: each is a module with the same five functions, found by name in `model`.
+"""Models: each is a module with the same five functions, and PAIR_RATIO, found by name in `model`.
 
 numerics(scene, given) -> dict         every parameter, defaults filled in; SceneError or StabilityError if unusable
 coarser(scene, numerics) -> dict       the same at half the resolution, for an error estimate by a pair of runs; or None
 finer(scene, numerics, given) -> dict  the same at twice the resolution, but for what was given
 sample_times(scene, times, numerics)   the times (n,) at which samples will be taken, nearest to those asked for
 samples(scene, times, numerics)        an iterator over Sample, the first at the start; `times` (n,) increasing from 0
+PAIR_RATIO                             a run differs from its coarser one by at least this many times its own error
 """
 
 from __future__ import annotations

@@ -22,7 +22,10 @@ from ..schemes.relaxation import LONGEST_BAND, band, relax_law, relax_transform,
 from . import Sample
 from .kernels import aligned, cross_in_order, relax_band, sweep_even
 
+MOST_NODES = 10**9  # 8 GB for the road alone
+MOST_PASSAGES = 1e16  # a year of computing
 NODES_PER_WAVE = 8  # of the shortest wave of the profile, in the default grid
+PAIR_RATIO = 1.0  # a pair of runs differs by the error of the better one at order 1: the steps that wheels leave
 PHASE_PER_NODE = 0.15  # omega dx / u of the quickest car, in the default grid
 
 
@@ -43,12 +46,18 @@ def numerics(scene, given: dict) -> dict:
     if "nodes" in given:
         nodes = _whole("nodes", given["nodes"])
     else:
-        quickest = np.max(scene.fleet.per_car("frequency") / scene.fleet.per_car("speed"))
+        quickest = float(np.max(scene.fleet.per_car("frequency") / scene.fleet.per_car("speed")))
         least = max(NODES_PER_WAVE * waves, length * quickest / PHASE_PER_NODE, 2 * waves + 1, hold + 1)
-        nodes = count * 4 * int(np.ceil(least / (4 * count)))
+        nodes = count * 4 * int(np.ceil(min(least, 2 * MOST_NODES) / (4 * count)))
     if nodes < max(2 * waves + 1, hold + 1):
         raise SceneError(
             f"nodes = {nodes}: hold {hold} and a profile of {waves} waves need at least {max(2 * waves + 1, hold + 1)}"
+        )
+    passages = scene.duration * float(scene.fleet.per_car("speed").sum()) * nodes / length
+    if nodes > MOST_NODES or not passages < MOST_PASSAGES:
+        raise SceneError(
+            f"nodes = {nodes}: with {passages:.3g} passages in the duration, must be at most {MOST_NODES:.0e} nodes and "
+            f"{MOST_PASSAGES:.0e} passages; use a shorter ring or duration, or slower cars"
         )
     _refuse_coarse_grid(scene, nodes, hold)
     return {"nodes": nodes, "hold": hold, "relax_every": relax_every}
@@ -140,7 +149,9 @@ def sample_times(scene, times, numerics: dict) -> np.ndarray:
     if even_start(scene, numerics["nodes"]) is None:
         return np.asarray(times, dtype=float)
     interval = scene.headway_time * numerics["relax_every"]
-    return np.unique(np.rint(np.asarray(times) / interval)) * interval
+    whole = np.rint(np.asarray(times) / interval)
+    whole[-1] = max(whole[-1], 1)  # the shortest run there is
+    return np.unique(whole) * interval
 
 
 def _start(scene, road, node, kind_of, distinct, hold):

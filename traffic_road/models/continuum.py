@@ -35,6 +35,7 @@ from . import Sample
 
 KEYWORDS = ("nodes", "step")
 OVERSAMPLING = 4
+PAIR_RATIO = 2.0  # a pair of runs differs by 3 times the error of the better one at order 2, by more at order 4
 DRIFT = 0.1  # of a reference value, at which the matrices are rebuilt
 RESOLVED = 1e-3  # drift in one step below which the remainder, fifth power of it, is below rounding: no need to rebuild
 LARGEST = 2e9  # multiplications in one product of all matrices: about a minute for a rebuild

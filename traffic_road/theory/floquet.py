@@ -1,8 +1,9 @@
 """The growth rate of the cars scheme itself: the eigenvalues of one headway of an even fleet, without lift-off.
 
-One relaxation interval of n headways, (sweep, shift) n times, then relax, is linear in (road nodes of a block, Z, P and
-contact heights of the car at its start). On a Bloch wave, where neighbouring blocks differ by exp(i k l), it is a matrix
-of (rows + 2 + hold)^2; its eigenvalue mu gives sigma = ln(mu)/(n l), exact for any grid, hold and interval.
+A relaxation interval of n headways, half a relaxation, (sweep, shift) n times, half a relaxation, is linear in the road
+nodes of a block and in Z, P and the contact heights of the car at its start. On a Bloch wave, where neighbouring blocks
+differ by exp(i k l), it is a matrix of (rows + 2 + hold)^2; its eigenvalue mu gives sigma = ln(mu)/(n l), exact for any
+grid, hold and interval.
 """
 
 from __future__ import annotations
@@ -15,8 +16,8 @@ from ..schemes.oscillator import propagator
 from .dispersion import fleet_dispersion
 
 
-def floquet_matrix(k, *, headway, rows, hold, relax_every, softness, diffusivity, car) -> np.ndarray:
-    """Matrix of one relaxation interval, (rows + 2 + hold)^2; car = (speed, frequency, damping, mass)."""
+def sweep_matrix(k, *, headway, rows, hold, softness, car) -> np.ndarray:
+    """One headway without relaxation, (rows + 2 + hold)^2, on a Bloch wave; car = (speed, frequency, damping, mass)."""
     speed, frequency, damping, mass = car
     A, B = (c[0] for c in propagator(headway / rows / speed, frequency, damping, hold))
     push = 0.5 * softness * mass * headway / speed
@@ -33,18 +34,18 @@ def floquet_matrix(k, *, headway, rows, hold, relax_every, softness, diffusivity
         past = [contact, *past[:-1]]
     # shift: the car that enters block 0 next comes from block -1
     shift = np.exp(-1j * k * headway)
-    sweep = np.vstack([road, shift * Z, shift * P, *(shift * h for h in past)])
-    matrix = np.linalg.matrix_power(sweep, relax_every)
-    if diffusivity:
-        # the Bloch wave's components on the grid: k + 2 pi q / l, taken in the grid's first Brillouin zone
-        node = np.arange(1, rows + 1) * (headway / rows)
-        wavenumber = k + 2 * np.pi * np.arange(rows) / headway
-        basis = np.exp(1j * np.outer(node, wavenumber))
-        zone = 2 * np.pi * rows / headway
-        folded = wavenumber - zone * np.rint(wavenumber / zone)
-        decay = np.exp(-diffusivity * folded**2 * relax_every * headway / speed)
-        matrix[:rows] = (basis * decay) @ (basis.conj().T / rows) @ matrix[:rows]
-    return matrix
+    return np.vstack([road, shift * Z, shift * P, *(shift * h for h in past)])
+
+
+def relaxation_matrix(k, *, headway, rows, diffusion) -> np.ndarray:
+    """exp(diffusion d2/dx2) on the nodes of a block of a Bloch wave, (rows, rows); diffusion = Delta * time."""
+    # its components on the grid: k + 2 pi q / l, taken in the grid's first Brillouin zone
+    node = np.arange(1, rows + 1) * (headway / rows)
+    wavenumber = k + 2 * np.pi * np.arange(rows) / headway
+    basis = np.exp(1j * np.outer(node, wavenumber))
+    zone = 2 * np.pi * rows / headway
+    folded = wavenumber - zone * np.rint(wavenumber / zone)
+    return (basis * np.exp(-diffusion * folded**2)) @ (basis.conj().T / rows)
 
 
 def floquet(scene, k, **numerics) -> complex:
@@ -53,6 +54,11 @@ def floquet(scene, k, **numerics) -> complex:
     Of the matrix's eigenvalues the one nearest the continuum's. SceneError unless the cars are identical and evenly
     spaced over whole nodes and both laws constant; lift-off is left out (it is no linear effect).
     """
+    return floquet_mode(scene, k, **numerics)[0]
+
+
+def floquet_mode(scene, k, **numerics) -> tuple[complex, np.ndarray]:
+    """sigma as `floquet`, and the road at a sample: its components at k, k + 2 pi/l, ..., the first 1; shape (rows,)."""
     fleet, count = scene.fleet, scene.fleet.count
     nodes, hold, relax_every = (numerics.get(name, default) for name, default in _defaults(scene).items())
     laws = scene.road.softness, scene.road.diffusivity
@@ -67,17 +73,25 @@ def floquet(scene, k, **numerics) -> complex:
         raise SceneError("floquet: needs Constant softness and diffusivity; freeze the laws at one height")
     softness, diffusivity = (law.value for law in laws)
     car = [float(values[0]) for values in car]
-    matrix = floquet_matrix(
-        float(k), headway=scene.headway, rows=nodes // count, hold=hold, relax_every=relax_every,
-        softness=softness, diffusivity=diffusivity, car=car,
-    )  # fmt: skip
+    rows, k = nodes // count, float(k)
     span = relax_every * scene.headway / car[0]
+    block = {"headway": scene.headway, "rows": rows}
+    sweep = np.linalg.matrix_power(sweep_matrix(k, **block, hold=hold, softness=softness, car=car), relax_every)
+    half = relaxation_matrix(k, **block, diffusion=diffusivity * span / 2)
+    # from sample to sample: half a relaxation, sweeps, half a relaxation
+    matrix = sweep.copy()
+    matrix[:, :rows] = matrix[:, :rows] @ half
+    matrix[:rows] = half @ matrix[:rows]
     guess = complex(fleet_dispersion(k, fleet, softness=softness, diffusivity=diffusivity))
-    mu = np.linalg.eigvals(matrix)
-    mu = mu[np.argmin(np.abs(mu - np.exp(guess * span)))]
-    sigma = np.log(mu) / span
+    multipliers, vectors = np.linalg.eig(matrix)
+    nearest = np.argmin(np.abs(multipliers - np.exp(guess * span)))
+    sigma = np.log(multipliers[nearest]) / span
     turns = np.rint((guess.imag - sigma.imag) * span / (2 * np.pi))  # the branch of the logarithm
-    return complex(sigma + 2j * np.pi * turns / span)
+    # components of the Bloch wave by a transform over the block, its phase at k taken out
+    place = np.arange(1, rows + 1) / rows
+    components = np.fft.fft(vectors[:rows, nearest] * np.exp(-1j * k * scene.headway * place))
+    components *= np.exp(-2j * np.pi * np.arange(rows) / rows)
+    return complex(sigma + 2j * np.pi * turns / span), components / components[0]
 
 
 def _defaults(scene) -> dict:

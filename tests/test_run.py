@@ -1,0 +1,148 @@
+"""simulate(): resolution, error estimates, divergence, progress."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import traffic_road as tr
+from traffic_road.estimate import corrugation_difference
+from traffic_road.models import cars, continuum
+
+K = 0.9
+
+
+def scene(*, amplitude=1e-3, softness=0.006, diffusivity=0.01, duration=150.0, lift_off=True, length=1, **fleet):
+    road = tr.Road(2 * np.pi / K * length, softness, diffusivity, tr.Sine(amplitude, K))
+    return tr.Scene(road, tr.Fleet(**{"count": 8, "damping": 0.1, **fleet}), duration, lift_off)
+
+
+CASES = {
+    "linear": (scene(), {"nodes": 64, "hold": 3}),
+    "linear hold": (scene(), {"nodes": 64, "hold": 1}),
+    "no diffusion": (scene(diffusivity=0.0), {"nodes": 64, "hold": 5}),
+    "rare relaxation": (scene(count=16), {"nodes": 128, "hold": 3, "relax_every": 4}),
+    "linear theory beyond lift-off": (scene(amplitude=3.0, lift_off=False), {"nodes": 64, "hold": 3}),
+    "bouncing": (scene(amplitude=1.5), {"nodes": 64, "hold": 3}),
+    "bouncing, rare relaxation": (scene(amplitude=1.5, count=16), {"nodes": 128, "hold": 3, "relax_every": 4}),
+    "hardening": (scene(softness=tr.Exponential(0.006, 0.3)), {"nodes": 64, "hold": 3}),
+    "mixed speeds": (scene(count=5, speed=(1, 1.1, 0.8, 1, 1.3), duration=60.0), {"nodes": 60, "hold": 3}),
+    "uneven": (scene(count=6, position=(0, 1, 1.3, 3, 4, 6)), {"nodes": 96, "hold": 3}),
+    "noise": (
+        replace(
+            scene(count=32, length=4),
+            road=tr.Road(8 * np.pi / K, 0.006, 0.01, tr.Noise(1e-3, 2.0, seed=3)),
+        ),
+        {"nodes": 256, "hold": 3},
+    ),
+}
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_error_estimate_of_cars_is_true(name):
+    case, numerics = CASES[name]
+    ds = tr.simulate(case, "cars", samples=2, **numerics)
+    fine = cars.numerics(case, {"nodes": 8 * numerics["nodes"], "hold": 5})
+    *_, reference = cars.samples(case, np.array([0.0, float(ds.time[-1])]), fine)
+    error = corrugation_difference(reference.road_height, ds.road_height.values[-1])
+    assert error <= ds.error_estimate <= 10 * error
+
+
+@pytest.mark.parametrize(
+    ("case", "given"),
+    [
+        (scene(amplitude=1.5, softness=0.005), {}),
+        (scene(amplitude=0.3, softness=tr.Exponential(0.006, 0.3)), {"step": 2.0}),
+        (
+            scene(amplitude=0.3, softness=tr.Exponential(0.006, 0.3), diffusivity=tr.Exponential(0.01, 0.3)),
+            {"step": 2.0},
+        ),
+    ],
+)
+def test_error_estimate_of_the_continuum_is_true(case, given):
+    ds = tr.simulate(case, "continuum", samples=2, tolerance=1.0, **given)
+    fine = continuum.numerics(case, {"nodes": 256, "step": 0.05})
+    *_, reference = continuum.samples(case, np.array([0.0, float(ds.time[-1])]), fine)
+    error = corrugation_difference(reference.road_height, ds.road_height.values[-1])
+    assert error <= ds.error_estimate <= 30 * error  # order 4 makes a factor of 15 out of the pair's 3
+
+
+def test_default_resolution_is_refined_to_the_tolerance():
+    loose, tight = (tr.simulate(scene(), samples=2, tolerance=t) for t in (1e-1, 1e-3))
+    assert loose.error_estimate <= 1e-1 and tight.error_estimate <= 1e-3
+    assert tight.x.size > loose.x.size
+    with pytest.warns(UserWarning, match="tolerance = 1e-12: not met"):
+        tr.simulate(scene(duration=10.0), samples=2, tolerance=1e-12)
+    given = tr.simulate(scene(), samples=2, tolerance=1e-12, nodes=64)  # what is given is not changed, nor warned of
+    assert given.x.size == 64
+
+
+def test_a_flat_road_is_right_to_rounding():
+    flat = replace(scene(), road=tr.Road(2 * np.pi / K, 0.006, 0.01))
+    assert tr.simulate(flat, "continuum", samples=2).error_estimate == 0.0
+    # cars leave their ripple; a grid that does not resolve it is wrong by much of it, and says so
+    assert 0.01 < tr.simulate(flat, "cars", samples=2, nodes=64).error_estimate < 1.0
+
+
+def test_times_are_those_at_which_samples_were_taken():
+    even = tr.simulate(scene(), "cars", samples=21, nodes=64, relax_every=3)
+    headway = 2 * np.pi / K / 8
+    np.testing.assert_allclose(even.time / (3 * headway), np.rint(even.time / (3 * headway)), atol=1e-9)
+    assert np.all(np.abs(even.time - np.linspace(0, 150, 21)) <= 1.5 * headway + 1e-9)
+    np.testing.assert_array_equal(tr.simulate(scene(), "continuum", samples=21).time, np.linspace(0, 150, 21))
+    # more samples than headways: each headway once
+    assert tr.simulate(scene(duration=5.0), "cars", samples=101, nodes=64).time.size == 7
+
+
+@pytest.mark.parametrize("model", ["cars", "continuum"])
+def test_a_run_that_blows_up_keeps_what_it_has(model, tmp_path):
+    wild = scene(softness=0.05, diffusivity=0.0, lift_off=False, duration=4000.0, amplitude=1.0)
+    ds = tr.simulate(wild, model, samples=41, output=tmp_path / "wild.nc")
+    assert ds.status.startswith("diverged between time ")
+    assert 1 < ds.time.size < 41 and np.all(np.isfinite(ds.road_height)) and ds.error_estimate == float("inf")
+    stored = tr.open(tmp_path / "wild.nc")
+    assert stored.status == ds.status and stored.time.size == ds.time.size
+    # just below the limit of what is kept: the wave has grown by its rate up to the last sample
+    amplitude = tr.mode(ds, K).amplitude.values
+    assert 1e6 < amplitude[-1] < 1e12
+
+
+def test_samples_may_be_times():
+    times = [0.0, 1.0, 10.0, 150.0]
+    assert tr.simulate(scene(), "continuum", samples=times).time.values.tolist() == times
+    with pytest.raises(tr.SceneError, match="increase"):
+        tr.simulate(scene(), samples=[0.0, 2.0, 1.0])
+
+
+def test_more_work_than_can_be_done_is_refused_at_once():
+    quick = scene(speed=(1.0,) * 7 + (1e15,))
+    for case, arguments in ((quick, {}), (scene(), {"nodes": 10**10}), (scene(frequency=1e300), {})):
+        with pytest.raises(tr.TrafficRoadError, match="nodes"):
+            tr.simulate(case, "cars", **arguments)
+
+
+def test_progress_is_called_to_the_end():
+    seen = []
+    tr.simulate(scene(), "cars", samples=11, nodes=64, progress=seen.append)
+    assert seen == pytest.approx(np.arange(1, 12) / 11)
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        {"model": "truck"},
+        {"samples": 1},
+        {"samples": 2.5},
+        {"tolerance": 0},
+        {"tolerance": float("nan")},
+        {"model": "cars", "step": 0.5},
+        {"model": "continuum", "hold": 3},
+        {"output": "missing/folder/out.nc"},
+        {"speling": 3},
+    ],
+)
+def test_bad_arguments_are_one_line(arguments):
+    with pytest.raises(tr.TrafficRoadError) as error:
+        tr.simulate(scene(), **arguments)
+    assert "\n" not in str(error.value)
+    assert str(next(reversed(arguments.values()))) in str(error.value) or next(reversed(arguments)) in str(error.value)
