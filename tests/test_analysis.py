@@ -5,8 +5,8 @@ import pytest
 
 import traffic_road as tr
 from traffic_road.analysis import mean_rates
-from traffic_road.store import assemble
 from traffic_road.models import Sample
+from traffic_road.store import assemble
 
 K = 0.9
 LENGTH = 4 * np.pi / K
