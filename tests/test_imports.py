@@ -30,7 +30,7 @@ RANK = {
     "": 0,  # traffic_road/__init__.py: names only, loaded when asked for
 }
 PACKAGES = {"schemes", "theory", "models"}
-# what the rank would allow and design §1 does not: physics knows no files, schemes no scenes, plots do not simulate
+# what the rank would allow and the house rules do not: physics knows no files, schemes no scenes, plots do not simulate
 FORBIDDEN = {
     ("models", "scene"),
     ("models", "profiles"),
@@ -82,7 +82,7 @@ def wrong(module, target):
         if name not in RANK:
             return f"{name} has no rank: give it one in {Path(__file__).name}"
     if (own, other) in FORBIDDEN:
-        return "design §1 forbids it"
+        return "the house rules forbid it"
     return None if RANK[other] < RANK[own] else f"rank {RANK[other]} is not below {RANK[own]}"
 
 

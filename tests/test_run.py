@@ -114,6 +114,14 @@ def test_samples_may_be_times():
         tr.simulate(scene(), samples=[0.0, 2.0, 1.0])
 
 
+def test_a_run_may_start_from_the_last_road_of_another():
+    first = tr.simulate(scene(amplitude=1.5), "cars", samples=2, nodes=64)
+    road = tr.Road(2 * np.pi / K, 0.006, 0.01, first.road_height.values[-1])  # short waves down to two nodes and all
+    again = tr.simulate(replace(scene(), road=road), "cars", samples=2, nodes=64)
+    np.testing.assert_array_equal(again.road_height[0], first.road_height[-1])
+    assert 0 < again.error_estimate < 0.01 and "twice" in again.error_method
+
+
 def test_more_work_than_can_be_done_is_refused_at_once():
     quick = scene(speed=(1.0,) * 7 + (1e15,))
     for case, arguments in ((quick, {}), (scene(), {"nodes": 10**10}), (scene(frequency=1e300), {})):

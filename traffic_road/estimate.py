@@ -23,19 +23,20 @@ FINE_ROWS = 96  # nodes a headway up to which a matrix of twice as many is still
 
 
 def error_estimate(scene, name: str, numerics: dict, last: Sample) -> tuple[float, str]:
-    """Relative error of the corrugation of `last`, the run's final sample, and how it was found. NaN: cannot be told."""
+    """Relative error of the corrugation of `last`, the run's final sample, and how it was found."""
     module = model(name)
     size = np.linalg.norm(last.road_height - last.road_height.mean()) / np.sqrt(last.road_height.size)
     if name == "cars" and _is_linear(scene, numerics, last):
         error = np.hypot(_of_waves(scene, numerics, last), _of_ripple(scene, numerics, last))
         method = "growth rates and ripple, of the scheme and of a finer one"
     else:
+        # half the resolution costs half a run or less; where that is too little to run, twice
         coarse = module.coarser(scene, numerics)
-        if coarse is None:
-            return float("nan"), "none: half the resolution is too little to run"
-        *_, other = module.samples(scene, np.array([0.0, last.time]), coarse)
-        error = _distance(last.road_height, other.road_height) / module.PAIR_RATIO
-        method = "a second run at half the resolution"
+        other = coarse or module.finer(scene, numerics, {})
+        ratio, times = (module.PAIR_RATIO, "half") if coarse else (0.5, "twice")
+        *_, second = module.samples(scene, np.array([0.0, last.time]), other)
+        error = _distance(last.road_height, second.road_height) / ratio
+        method = f"a second run at {times} the resolution"
     rounding = np.finfo(float).eps * np.abs(last.road_height).max() * np.sqrt(last.updates / last.road_height.size)
     if size <= rounding:
         return 0.0, "none: the road is flat to rounding"

@@ -16,7 +16,7 @@ from itertools import pairwise
 import numpy as np
 
 from ..errors import SceneError, StabilityError
-from ..laws import Constant
+from ..laws import Constant, whole
 from ..schemes import oscillator
 from ..schemes.relaxation import LONGEST_BAND, band, relax_law, relax_transform, symbol
 from . import Sample
@@ -37,55 +37,47 @@ def numerics(scene, given: dict) -> dict:
     unknown = sorted(set(given) - {"nodes", "hold", "relax_every"})
     if unknown:
         raise SceneError(f"{unknown[0]}: not a parameter of the cars model; it takes nodes, hold, relax_every")
-    hold = _whole("hold", given.get("hold", 3))
+    hold = whole("hold", given.get("hold", 3), 1, 5)
     if hold not in oscillator.HOLDS:
         raise SceneError(f"hold = {hold}: must be 1 (linear), 3 (cubic) or 5 (quintic)")
-    relax_every = _whole("relax_every", given.get("relax_every", 1))
+    relax_every = whole("relax_every", given.get("relax_every", 1), 1, MOST_NODES)
     count, length = scene.fleet.count, scene.road.length
     waves = scene.road.profile.highest_wave(length)
     if "nodes" in given:
-        nodes = _whole("nodes", given["nodes"])
+        nodes = whole("nodes", given["nodes"], 1, MOST_NODES)
     else:
         quickest = float(np.max(scene.fleet.per_car("frequency") / scene.fleet.per_car("speed")))
         least = max(NODES_PER_WAVE * waves, length * quickest / PHASE_PER_NODE, 2 * waves + 1, hold + 1)
         nodes = count * 4 * int(np.ceil(min(least, 2 * MOST_NODES) / (4 * count)))
-    if nodes < max(2 * waves + 1, hold + 1):
-        raise SceneError(
-            f"nodes = {nodes}: hold {hold} and a profile of {waves} waves need at least {max(2 * waves + 1, hold + 1)}"
-        )
+    if nodes <= hold:
+        raise SceneError(f"nodes = {nodes}: hold {hold} needs at least {hold + 1}")
     passages = scene.duration * float(scene.fleet.per_car("speed").sum()) * nodes / length
     if nodes > MOST_NODES or not passages < MOST_PASSAGES:
         raise SceneError(
             f"nodes = {nodes}: with {passages:.3g} passages in the duration, must be at most {MOST_NODES:.0e} nodes and "
             f"{MOST_PASSAGES:.0e} passages; use a shorter ring or duration, or slower cars"
         )
+    scene.road.profile.sample(length, nodes)  # SceneError where the grid does not resolve it
     _refuse_coarse_grid(scene, nodes, hold)
     return {"nodes": nodes, "hold": hold, "relax_every": relax_every}
 
 
-def coarser(scene, numerics: dict) -> dict | None:
+def coarser(scene, chosen: dict) -> dict | None:
     """Half the nodes and, where relaxation is less often than every headway, twice the interval; None if impossible."""
     count = scene.fleet.count
-    nodes = numerics["nodes"] // 2
-    if numerics["nodes"] % count == 0 and numerics["nodes"] > count:
-        nodes = count * (numerics["nodes"] // count // 2)  # an even fleet stays one
-    relax_every = numerics["relax_every"]
-    given = {**numerics, "nodes": nodes, "relax_every": 2 * relax_every if relax_every > 1 else 1}
+    nodes = chosen["nodes"] // 2
+    if chosen["nodes"] % count == 0 and chosen["nodes"] > count:
+        nodes = count * (chosen["nodes"] // count // 2)  # an even fleet stays one
+    relax_every = 2 * chosen["relax_every"] if chosen["relax_every"] > 1 else 1
     try:
-        return globals()["numerics"](scene, given)
+        return numerics(scene, {**chosen, "nodes": nodes, "relax_every": relax_every})
     except (SceneError, StabilityError):
         return None
 
 
-def finer(scene, numerics: dict, given: dict) -> dict:
+def finer(scene, chosen: dict, given: dict) -> dict:
     """Twice the nodes, unless they were given."""
-    return numerics if "nodes" in given else {**numerics, "nodes": 2 * numerics["nodes"]}
-
-
-def _whole(name: str, value) -> int:
-    if isinstance(value, (bool, np.bool_)) or not isinstance(value, (int, np.integer)) or value < 1:
-        raise SceneError(f"{name} = {value!r}: must be a whole number >= 1")
-    return int(value)
+    return chosen if "nodes" in given else {**chosen, "nodes": 2 * chosen["nodes"]}
 
 
 def kinds(fleet) -> tuple[np.ndarray, np.ndarray]:
