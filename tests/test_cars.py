@@ -9,6 +9,7 @@ from reference import plain_cars
 import traffic_road as tr
 from traffic_road.errors import SceneError, StabilityError
 from traffic_road.models import cars
+from traffic_road.schemes import relaxation
 from traffic_road.schemes.oscillator import propagator
 from traffic_road.theory import dispersion, fleet_dispersion, floquet
 from traffic_road.theory.floquet import floquet_mode, relaxation_matrix, sweep_matrix
@@ -349,3 +350,21 @@ def test_floquet_refuses_what_it_cannot_describe():
         floquet(replace(scene(), fleet=mixed_fleet()), K, nodes=64, hold=3, relax_every=1)
     with pytest.raises(SceneError, match="Constant"):
         floquet(scene(softness=tr.Exponential(0.006, 0.1)), K, nodes=64, hold=3, relax_every=1)
+
+
+@pytest.mark.parametrize("spread", [3.0, 11.7, 60.0])
+def test_band_of_weights_is_the_transform(spread):
+    length, nodes = 1000.0, 4096
+    diffusion = spread * (length / nodes) ** 2
+    weights = relaxation.band(diffusion, length, nodes)
+    angle = 2 * np.pi * np.arange(nodes // 2 + 1) / nodes
+    found = weights[0] + 2 * np.cos(np.outer(angle, np.arange(1, weights.size))) @ weights[1:]
+    error = np.abs(found - relaxation.symbol(diffusion, length, nodes))
+    assert error.max() < 2 * relaxation.TAIL  # what is cut off, and what its spread puts back at the end
+    # the spread is kept: long waves miss by its fourth moment, (angle * half-width)^4 / 24 of the tail
+    bound = relaxation.TAIL * (angle * weights.size) ** 4 / 12 + 1e-15
+    assert np.all(error[: nodes // 100] < bound[: nodes // 100])
+    assert weights.size < 10 * np.sqrt(spread)
+    # too narrow for a short band, too wide for a cheap one
+    assert relaxation.band(0.1 * diffusion / spread, length, nodes) is None
+    assert relaxation.band(1e4 * diffusion / spread, length, nodes) is None

@@ -1,7 +1,8 @@
 """How the road relaxes between passages: dH/dt = Delta(H) d2H/dx2 over an interval.
 
 Constant Delta: exact, H_k -> exp(-Delta k^2 interval) H_k. Where this smooths over many nodes its kernel is short, and a
-symmetric band of weights gives the same to rounding at a fraction of the cost of a transform.
+symmetric band of weights does the same at a fraction of the cost of a transform: within 1e-10 of every wave, and within
+rounding of the long ones, whose mean and spread it keeps.
 Delta(H): exponential midpoint rule (Magnus): Delta as it is at half time, then exp(interval Delta(x) d2/dx2) to rounding
 by Chebyshev polynomials (Tal-Ezer 1989), about sqrt(72 reach) of them for a reach of interval Delta_max k_max^2 / 2. The
 steps that the wheels leave are as rough as the grid: a rule that treats the variation of Delta explicitly loses its order
@@ -14,9 +15,11 @@ import numpy as np
 from scipy import fft
 from scipy.special import ive
 
+from .scheme import Scheme, refuse_beyond
+
 LONGEST_BAND = 128  # half-width in nodes beyond which the transform is cheaper
 ROUNDING = 1e-16
-TAIL = 1e-13  # what the band may leave out of a kernel whose sum is 1
+TAIL = 5e-11  # what the band may leave out of a kernel whose sum is 1
 
 
 def symbol(diffusion: float, length: float, nodes: int) -> np.ndarray:
@@ -26,7 +29,7 @@ def symbol(diffusion: float, length: float, nodes: int) -> np.ndarray:
 
 
 def band(diffusion: float, length: float, nodes: int) -> np.ndarray | None:
-    """Weights w[0..n] of H_j -> w[0] H_j + sum_t w[t] (H_{j-t} + H_{j+t}), equal to `symbol` to rounding; else None.
+    """Weights w[0..n] of H_j -> w[0] H_j + sum_t w[t] (H_{j-t} + H_{j+t}), equal to `symbol` within 2 TAIL; else None.
 
     None where no short band is that good: smoothing over less than a node or two, or over more than LONGEST_BAND.
     """
@@ -41,6 +44,9 @@ def band(diffusion: float, length: float, nodes: int) -> np.ndarray | None:
     if size - 1 > LONGEST_BAND:
         return None
     weights = kernel[:size].copy()
+    if short.size:  # cut off: its spread, 2 diffusion, is kept by the last weight
+        spread = 2 * diffusion * (nodes / length) ** 2
+        weights[-1] += (spread - 2 * np.arange(size) ** 2 @ weights) / (2 * (size - 1) ** 2)
     weights[0] += 1.0 - (weights[0] + 2 * weights[1:].sum())  # the mean height is kept to rounding
     return weights
 
@@ -84,3 +90,47 @@ def relax_law(height: np.ndarray, law, interval: float, length: float) -> np.nda
         before, now = now, 2 * scaled(now) - before
         total += 2 * weight * now
     return total
+
+
+# Other relaxations, for comparison: factors of the real transform's waves as `symbol` gives them, of schemes for the
+# second difference, (H_{j-1} - 2 H_j + H_{j+1})/dx^2, whose symbol is -(2 sin(k dx/2)/dx)^2. Order 2 in dx.
+
+
+def explicit(diffusion: float, length: float, nodes: int) -> np.ndarray:
+    """Forward Euler. Order 1 in the step; diffusion <= dx^2/2, beyond which the shortest wave grows: 1 - 4 d < -1."""
+    return 1 - _second_difference(diffusion, length, nodes)
+
+
+def crank_nicolson(diffusion: float, length: float, nodes: int) -> np.ndarray:
+    """Order 2 in the step, no limit; short waves ring: their factor -> -1 for long steps."""
+    s = _second_difference(diffusion, length, nodes)
+    return (1 - s / 2) / (1 + s / 2)
+
+
+def backward_euler(diffusion: float, length: float, nodes: int) -> np.ndarray:
+    """Order 1 in the step, no limit, no ringing: factors fall to 0 for long steps."""
+    return 1 / (1 + _second_difference(diffusion, length, nodes))
+
+
+def _second_difference(diffusion, length, nodes):
+    """4 d sin^2(k dx/2), d = diffusion/dx^2, for the real transform's wavenumbers."""
+    return 4 * diffusion * (nodes / length) ** 2 * np.sin(np.pi * np.arange(nodes // 2 + 1) / nodes) ** 2
+
+
+# step(diffusion, length, nodes) -> factors, diffusion = Delta * interval; limit(dx) -> diffusion; cost a node (`symbol`: by
+# two transforms of 1000 nodes)
+RELAXATIONS = {
+    "explicit": Scheme(explicit, 1, lambda spacing: 0.5 * spacing**2, 3, "Courant, Friedrichs and Lewy, 1928"),
+    "Crank-Nicolson": Scheme(
+        crank_nicolson, 2, lambda spacing: np.inf, 8, "Crank and Nicolson, Proc. Camb. Phil. Soc. 43, 50, 1947"
+    ),
+    "backward Euler": Scheme(backward_euler, 1, lambda spacing: np.inf, 5, "Laasonen, Acta Math. 81, 309, 1949"),
+    "exact": Scheme(symbol, None, lambda spacing: np.inf, 25, "Fourier"),
+}
+
+
+def refuse_diffusion(name: str, diffusion: float, spacing: float) -> None:
+    """StabilityError if the relaxation `name` of RELAXATIONS blows up at this diffusion = Delta * interval."""
+    remedy = "relax in shorter steps, or exactly, which has no limit"
+    quantity = f"Delta * interval with dx = {spacing:g}"
+    refuse_beyond(RELAXATIONS[name].limit(spacing), diffusion, quantity, f"the {name} relaxation", remedy)
