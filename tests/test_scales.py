@@ -108,3 +108,11 @@ def test_to_si_refused(result):
         tr.to_si(result, None)
     with pytest.raises(tr.SceneError, match="passages_per_time"):
         tr.to_si(tr.mode(result, 0.9), SCALES)
+
+
+def test_what_the_paper_calls_frequencies_are_periods():
+    # "natural frequencies of about 0.02 to 0.1 s": a pitch of 0.5 to 1 m at 10 to 25 m/s, wavenumber near 1
+    for speed, pitch, period in ((25.0, 0.5, 0.02), (10.0, 1.0, 0.1)):
+        scales = tr.Scales(speed=speed, frequency=1 / period, vehicles_per_day=1.0)
+        assert 2 * np.pi * scales.length == pytest.approx(pitch)
+        assert 10 <= scales.frequency <= 50  # Hz
