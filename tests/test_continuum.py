@@ -33,14 +33,14 @@ def run(scene, times=None, **given):
     return list(continuum.samples(scene, times, continuum.numerics(scene, given)))
 
 
-def dop853(scene, nodes, rtol):
+def dop853(scene, nodes, rtol, oversampling=32):
     """Road height and mean car height at the end, (2, nodes), every car of the settled fleet a field of its own."""
     road, fleet = scene.road, scene.fleet
     wave = np.arange(-(nodes // 2), nodes // 2 + 1) * 2 * np.pi / road.length
-    x = np.arange(4 * nodes) * road.length / (4 * nodes)
-    analysis = np.exp(-1j * np.outer(wave, x[::4])) / nodes
+    x = np.arange(oversampling * nodes) * road.length / (oversampling * nodes)
+    analysis = np.exp(-1j * np.outer(wave, x[::oversampling])) / nodes
     fine = (np.exp(1j * np.outer(x, wave)) @ analysis).real
-    ddx = (np.exp(1j * np.outer(x[::4], wave)) @ (1j * wave[:, None] * analysis)).real
+    ddx = (np.exp(1j * np.outer(x[::oversampling], wave)) @ (1j * wave[:, None] * analysis)).real
     fine_ddxx = fine @ ddx @ ddx
     cars = [[fleet.per_car(name)[i] for name in ("speed", "frequency", "damping", "mass")] for i in range(fleet.count)]
     u, w, G, m = np.transpose(cars)[..., None]
@@ -54,7 +54,7 @@ def dop853(scene, nodes, rtol):
         dH = road.diffusivity(height) * (fine_ddxx @ H) - road.softness(height) * np.mean(m * force, axis=0)
         dZ = P - 2 * G * w * (Z - H) - u * (Z @ ddx.T)
         dP = w**2 * (H - Z) - u * (P @ ddx.T)
-        return np.concatenate((fine.T @ dH / 4, dZ.ravel(), dP.ravel()))
+        return np.concatenate((fine.T @ dH / oversampling, dZ.ravel(), dP.ravel()))
 
     H = road.profile.sample(road.length, nodes)
     sink_rate = float(road.softness(H.mean()) * m.mean())

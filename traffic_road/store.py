@@ -20,6 +20,7 @@ from .scales import HEIGHT, LENGTH, RATE, TIME, VELOCITY
 from .scene import Scene
 
 SCHEMA = 1
+VERSION = version("traffic_road")  # looked up once: it searches the installed packages
 TEMPORARY = ".traffic_road-"  # how names of unfinished files begin
 FORCE = "static load of the reference car"
 
@@ -68,7 +69,7 @@ def provenance(scene: Scene, title: str) -> dict:
     attributes = {
         "Conventions": "CF-1.11",
         "title": title,
-        "source": f"traffic_road {version('traffic_road')}",
+        "source": f"traffic_road {VERSION}",
         "history": f"{datetime.now(UTC):%Y-%m-%dT%H:%M:%SZ} {command}",
         "references": "J. A. Both, D. C. Hong and D. A. Kurtze, Corrugation of roads, Physica A 301 (2001) 545-559",
         "schema": SCHEMA,
