@@ -70,7 +70,7 @@ def run(cars: int, headways: int, hold, diffusivity, relax_every, law) -> xr.Dat
 
 def main() -> None:
     chosen = options(__doc__)
-    cars, headways, repeats = (256, 100, 2) if chosen.quick else (4096, 2000, 5)
+    cars, headways, repeats = (256, 40, 2) if chosen.quick else (4096, 2000, 5)
     reference = bare_rate(cars, repeats)
     rates, errors = [], []
     for label, *case in CASES:

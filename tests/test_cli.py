@@ -165,6 +165,7 @@ BAD = [
     (["compare", "small.toml", "-o", "c.png"], "c.png: the ending of a picture"),
     (["compare", "small.toml", "-o", "none/c.nc"], "none/c.nc: cannot write: No such file or directory; name a file"),
     (["compare", "small.toml", "-o", "small.toml"], "small.toml: would overwrite the scene"),
+    (["run", "./small.toml", "-o", "small.toml"], "small.toml: would overwrite the scene"),
     (["run", "small.toml"], "-o/--output"),
     (["run", "small.toml", "-o", "r.nc", "--model", "linear"], "invalid choice: 'linear'"),
     (["run", "small.toml", "-o", "r.nc", "--model", "continuum", "--hold", "3"], "hold"),

@@ -48,6 +48,27 @@ def test_both_models_are_sampled_at_the_same_times_however_many_were_asked_for()
     assert short.time.size == 2
 
 
+def test_phase_velocity_is_right_however_far_apart_the_samples_are():
+    paper = tr.preset("paper")
+    soft = replace(paper, road=replace(paper.road, softness=0.5), lift_off=False, duration=100.0)
+    for samples in (101, 5):  # 0.28 v: 4 turns of the wave from sample to sample
+        ds = tr.compare(soft, samples=samples, tolerance=0.1)
+        assert float(ds.phase_velocity_difference.sel(source="Floquet matrix of the cars scheme")) == pytest.approx(
+            0, abs=1e-2
+        )
+        assert float(ds.phase_velocity_difference.sel(source="continuum run")) == pytest.approx(0, abs=0.05)
+
+
+def test_a_comparison_is_no_run():
+    ds = tr.compare(replace(tr.preset("paper"), duration=30.0), samples=5, tolerance=0.5)
+    with pytest.raises(tr.SceneError, match="take one model"):
+        tr.mode(ds, 0.9)
+    assert tr.mode(ds.sel(model="cars"), 0.9).amplitude.size == ds.time.size
+    for call in (tr.compare, tr.simulate):
+        with pytest.raises(tr.SceneError, match="must be a Scene"):
+            call("paper")
+
+
 def test_theories_that_do_not_apply_are_nan():
     paper = tr.preset("paper")
     mixed = replace(paper, fleet=replace(paper.fleet, speed=(1.0, 1.1) * 4), duration=60.0)

@@ -6,17 +6,22 @@ import numpy as np
 import xarray as xr
 from scipy.interpolate import CubicSpline
 
+from .errors import SceneError
 from .laws import finite
 from .profiles import whole_waves
 from .store import variable
 
 
-def mode(ds: xr.Dataset, wavenumber: float) -> xr.Dataset:
+def mode(ds: xr.Dataset, wavenumber: float, *, velocity: float = 0.0) -> xr.Dataset:
     """amplitude (time) and phase (time, unwrapped, rad) of the wave amplitude * cos(wavenumber x + phase) of the road.
 
     The wavenumber must fit the ring (SceneError). Unwrapping is sure while the wave moves less than half a wavelength
-    from sample to sample.
+    from sample to sample, relative to a point of the given `velocity`: a guess helps where samples are far apart.
     """
+    if "road_height" not in ds or ds.road_height.dims != ("time", "x"):
+        raise SceneError(
+            "the Dataset has no road_height (time, x): of a comparison take one model, ds.sel(model='cars')"
+        )
     wavenumber = finite("wavenumber", wavenumber, above=0)
     length = _ring(ds)
     whole_waves("wavenumber", wavenumber, length)
@@ -24,10 +29,12 @@ def mode(ds: xr.Dataset, wavenumber: float) -> xr.Dataset:
     # the mean is taken off first: a road that has sunk far leaves fewer digits for the wave
     height = ds.road_height.values - ds.road_height.values.mean(axis=-1, keepdims=True)
     coefficient = height @ projection
+    turned = -wavenumber * velocity * ds.time.values  # phase of a wave of that velocity
+    turn = np.exp(-1j * turned)
     return xr.Dataset(
         {
             "amplitude": variable("amplitude", "time", np.abs(coefficient)),
-            "phase": variable("phase", "time", np.unwrap(np.angle(coefficient))),
+            "phase": variable("phase", "time", np.unwrap(np.angle(coefficient * turn)) + turned),
         },
         {"time": ds.time},
         {"wavenumber": wavenumber},
@@ -53,9 +60,14 @@ def phase_velocity(ds: xr.Dataset, wavenumber: float) -> xr.DataArray:
     return xr.DataArray(variable("phase_velocity", "time", velocity), {"time": ds.time}, name="phase_velocity")
 
 
-def mean_rates(ds: xr.Dataset, wavenumber: float, begin: float, end: float) -> tuple[float, float]:
-    """Growth rate and phase velocity of one wave from the sample nearest `begin` to that nearest `end`; NaN if one."""
-    wave = mode(ds, wavenumber)
+def mean_rates(
+    ds: xr.Dataset, wavenumber: float, begin: float, end: float, *, velocity: float = 0.0
+) -> tuple[float, float]:
+    """Growth rate and phase velocity of one wave from the sample nearest `begin` to that nearest `end`.
+
+    NaN where these are the same sample. `velocity` as in `mode`.
+    """
+    wave = mode(ds, wavenumber, velocity=velocity)
     i, j = (int(np.argmin(np.abs(ds.time.values - t))) for t in (begin, end))
     span = float(ds.time[j] - ds.time[i])
     if span == 0:

@@ -130,9 +130,13 @@ def _refuse_output(options) -> None:
 
     if Path(options.output).suffix in PICTURES:
         raise StoreError(f"{options.output}: the ending of a picture; the result is netCDF, name it .nc")
-    if options.output == options.scene:
-        raise StoreError(f"{options.output}: would overwrite the scene; name another file")
+    _refuse_scene(options.output, options)
     refuse_unwritable(options.output)
+
+
+def _refuse_scene(path, options) -> None:
+    if os.path.realpath(path) == os.path.realpath(options.scene):
+        raise StoreError(f"{path}: would overwrite the scene; name another file")
 
 
 def _refuse_picture(path) -> None:
@@ -158,6 +162,7 @@ def _compare(options) -> int:
     scene = _scene(options.scene)
     _refuse_output(options)
     picture = Path(options.output).with_suffix(".png")
+    _refuse_scene(picture, options)
     _refuse_picture(picture)
     from .comparison import compare
     from .plots import compare_figure, save_figure
@@ -170,7 +175,8 @@ def _compare(options) -> int:
     save(ds, options.output)
     save_figure(compare_figure(ds), picture)
     _say_written(options.output, picture)
-    return _finish(*(s for s in (ds.attrs["cars_status"], ds.attrs["continuum_status"]) if s != "ok"))
+    status = {name: ds.attrs[f"{name}_status"] for name in ("cars", "continuum")}
+    return _finish(*(f"of the {name} {line}" for name, line in status.items() if line != "ok"))
 
 
 def _table(ds) -> str:
@@ -202,6 +208,7 @@ def _run(options) -> int:
     scene = _scene(options.scene)
     _refuse_output(options)
     if options.plot is not None:
+        _refuse_scene(options.plot, options)
         _refuse_picture(options.plot)
     from .run import simulate
 

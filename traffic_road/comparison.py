@@ -9,11 +9,12 @@ import numpy as np
 import xarray as xr
 
 from .analysis import coarse_grain, mean_rates, mode
-from .errors import SceneError
+from .errors import SceneError, shown
 from .laws import Constant, finite
 from .models import model
 from .profiles import whole_waves
 from .run import simulate
+from .scene import Scene
 from .store import provenance, variable
 from .theory.dispersion import dispersion, dispersion_leading, fleet_dispersion
 from .theory.floquet import floquet
@@ -41,6 +42,8 @@ def compare(scene, *, wavenumber=None, tolerance=1e-3, samples=101, progress=Non
     differences from the cars' (source,), NaN where a theory does not apply. Rates are means over the linear stage, from
     10/(Gamma omega) until the first car is airborne: attributes window_begin and window_end.
     """
+    if not isinstance(scene, Scene):
+        raise SceneError(f"scene = {shown(scene)}: must be a Scene; preset(name) and Scene.from_toml(path) give one")
     if wavenumber is None:
         wavenumber = fastest_wave(scene)
     wavenumber = finite("wavenumber", wavenumber, above=0)
@@ -140,7 +143,8 @@ def _rates(scene, cars, continuum, wavenumber, begin, end):
     velocity = np.array([-sigma[name].imag / wavenumber for name in SOURCES])
     for name, ds in (("cars", cars), ("continuum run", continuum)):
         i = SOURCES.index(name)
-        growth[i], velocity[i] = mean_rates(ds, wavenumber, begin, end)
+        guess = velocity[SOURCES.index("continuum dispersion relation")]
+        growth[i], velocity[i] = mean_rates(ds, wavenumber, begin, end, velocity=guess)
     return growth, velocity
 
 

@@ -9,10 +9,11 @@ import numpy as np
 import xarray as xr
 from tqdm import tqdm
 
-from .errors import SceneError
+from .errors import SceneError, shown
 from .estimate import error_estimate
 from .laws import finite, whole
 from .models import Sample, model
+from .scene import Scene
 from .store import assemble, refuse_unwritable, save
 
 MOST_SAMPLES = 10_000_000
@@ -25,15 +26,19 @@ def simulate(scene, model="auto", tolerance=1e-3, samples=101, *, output=None, p
 
     model: "cars", "continuum", or "auto" (the cars, which are what a scene describes). tolerance: relative error of the
     corrugation (L2 over the road, mean removed) at the end; where no resolution is given the default is refined until the
-    estimate meets it. samples: number of times, evenly spaced from 0 to the duration, or the times
-    themselves. Numerics override the default:
-    nodes, hold, relax_every for "cars", nodes, step for "continuum". output: netCDF file to write. progress: True, False,
-    a callable that is given the fraction done, or None for a bar after two seconds if there is a terminal.
+    estimate meets it. samples: number of times, evenly spaced from 0 to the duration, or the times themselves, which then
+    say how long the run is. Numerics override the default: nodes, hold, relax_every for "cars", nodes, step for
+    "continuum". output: netCDF file to write. progress: True, False, a function that is given the fraction done (from the
+    start again when the resolution is refined), or None for a bar after two seconds if there is a terminal.
 
     Dataset: road_height (time, x); car_height, contact_force (time, car) and car_position (time, car) for "cars", else
     (time, x). A run that diverges keeps what it has and says so in `status`. Raises SceneError, StabilityError,
     StoreError.
     """
+    if not isinstance(scene, Scene):
+        raise SceneError(f"scene = {shown(scene)}: must be a Scene; preset(name) and Scene.from_toml(path) give one")
+    if not (progress in (None, True, False) or callable(progress)):
+        raise SceneError(f"progress = {shown(progress)}: must be True, False, None or a function of the fraction done")
     name = "cars" if model == "auto" else model
     finite("tolerance", tolerance, above=0)
     if output is not None:
@@ -78,7 +83,7 @@ def _run(scene, name, tolerance, times, given, progress):
         if attempt == REFINEMENTS:
             warnings.warn(
                 f"tolerance = {tolerance:g}: not met, the error estimate is {error:.2g} with {numerics}; "
-                "name finer numerics, or shorten the duration",
+                "name finer numerics, shorten the duration, or ask less of a road that is nearly flat",
                 stacklevel=3,
             )
             break
@@ -90,9 +95,10 @@ def _run(scene, name, tolerance, times, given, progress):
         "wall_time": wall_time,
         "error_wall_time": estimate_time,
         "updates": taken[-1].updates,
-        "airborne_passages": taken[-1].airborne,
         "status": status,
     }
+    if taken[-1].airborne is not None:
+        outcome["airborne_passages"] = taken[-1].airborne
     return assemble(scene, name, numerics, taken, outcome)
 
 

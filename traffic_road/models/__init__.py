@@ -30,7 +30,7 @@ class Sample(NamedTuple):
     contact_force: np.ndarray
     where: np.ndarray | None
     updates: int  # road-node updates done so far
-    airborne: int = 0  # of these, passages of a car that pressed on nothing
+    airborne: int | None = None  # of these, passages of a car that pressed on nothing; None where cars are a field
 
 
 def model(name: str) -> ModuleType:

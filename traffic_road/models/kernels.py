@@ -57,51 +57,12 @@ def _copy_back(ring, start, cars, front, source, at, count):
 
 
 def _make_sweep(hold, kind):
-    """One headway of an even fleet for one hold and one kind of law (constants of the compiled loop)."""
+    """One headway of an even fleet for one hold and one kind of law (constants of the compiled loop).
+
+    Only numbers are closed over: with a compiled function among them the cache on disk would never be found again.
+    """
     one, two, three, four, five = (np.uint64(n) for n in range(1, 6))
     mask = np.uint64(RING - 1)
-
-    @njit(**COMPILE)
-    def row_of_passages(road, at, h, newest, z, p, count, A, B, half, omega2, value, shape, slack):
-        # the car arrives with Z*, P* (everything but the newest contact height), meets the node, and takes h along
-        a00, a01, a10, a11 = A[0, 0], A[0, 1], A[1, 0], A[1, 1]
-        b0, b1, c0, c1 = B[0, 0], B[0, 1], B[1, 0], B[1, 1]
-        if hold > 1:
-            b2, b3, c2, c3 = B[0, 2], B[0, 3], B[1, 2], B[1, 3]
-        if hold > 3:
-            b4, b5, c4, c5 = B[0, 4], B[0, 5], B[1, 4], B[1, 5]
-        # contact heights live in a ring of RING rows of h: `newest` is the one to fill, h1, h2, ... those before it
-        new = newest * T
-        h1, h2, h3 = ((newest - one) & mask) * T, ((newest - two) & mask) * T, ((newest - three) & mask) * T
-        h4, h5 = ((newest - four) & mask) * T, ((newest - five) & mask) * T
-        # constant softness: h = (H - push (1 - omega^2 Z*)) / (1 + push omega^2 (1 - b)), or H if that is lower
-        push = half * value
-        scale = 1.0 / (1.0 + push * omega2 * (1.0 - b0))
-        pull = push * omega2
-        airborne = 0
-        for i in range(count):
-            z_star = a00 * z[i] + a01 * p[i] + b1 * h[h1 + i]
-            p_star = a10 * z[i] + a11 * p[i] + c1 * h[h1 + i]
-            if hold > 1:
-                z_star += b2 * h[h2 + i] + b3 * h[h3 + i]
-                p_star += c2 * h[h2 + i] + c3 * h[h3 + i]
-            if hold > 3:
-                z_star += b4 * h[h4 + i] + b5 * h[h5 + i]
-                p_star += c4 * h[h4 + i] + c5 * h[h5 + i]
-            before = road[at + i]
-            if kind == CONSTANT:
-                pressed = (before - push + pull * z_star) * scale
-                ceiling = before + slack
-                contact = ceiling if ceiling < pressed else pressed  # in this order a NaN is kept
-                airborne += 1 if ceiling < pressed else 0
-            else:
-                contact = contact_height(before, z_star, b0, half, omega2, kind, value, shape, slack == 0.0)
-                airborne += 1 if slack == 0.0 and 1.0 + omega2 * (before - z_star - b0 * before) <= 0.0 else 0
-            h[new + i] = contact
-            road[at + i] = 2.0 * contact - before
-            z[i] = z_star + b0 * contact
-            p[i] = p_star + c0 * contact
-        return airborne
 
     @njit(**COMPILE)
     def sweep(road, rows, stride, margin, headway, state, cars, A, B, half, omega2, value, shape, lift_off):
@@ -110,6 +71,16 @@ def _make_sweep(hold, kind):
         state ((2 + hold) * cars,): Z, P, then the contact heights, oldest first. `headway` counts those already done.
         Returns the number of passages without contact. half = m * headway / (2 u); omega2 = omega^2.
         """
+        a00, a01, a10, a11 = A[0, 0], A[0, 1], A[1, 0], A[1, 1]
+        b0, b1, c0, c1 = B[0, 0], B[0, 1], B[1, 0], B[1, 1]
+        if hold > 1:
+            b2, b3, c2, c3 = B[0, 2], B[0, 3], B[1, 2], B[1, 3]
+        if hold > 3:
+            b4, b5, c4, c5 = B[0, 4], B[0, 5], B[1, 4], B[1, 5]
+        # constant softness: h = (H - push (1 - omega^2 Z*)) / (1 + push omega^2 (1 - b)), or H if that is lower
+        push = half * value
+        scale = 1.0 / (1.0 + push * omega2 * (1.0 - b0))
+        pull = push * omega2
         slack = 0.0 if lift_off else np.inf
         h = aligned(RING * TILE)
         z = aligned(TILE)
@@ -123,10 +94,36 @@ def _make_sweep(hold, kind):
             for q in range(hold):
                 _copy_around(h, uint64(q) * T, state, (2 + q) * cars, cars, front, count)
             for r in range(rows):
-                airborne += row_of_passages(
-                    road, uint64(r * stride + margin + first), h, uint64((r + hold) & (RING - 1)), z, p, uint64(count),
-                    A, B, half, omega2, value, shape, slack,
-                )  # fmt: skip
+                at = uint64(r * stride + margin + first)
+                # contact heights live in a ring of RING rows of h: `new` is the row to fill, h1, h2, ... those before it
+                newest = uint64((r + hold) & (RING - 1))
+                new = newest * T
+                h1, h2, h3 = ((newest - one) & mask) * T, ((newest - two) & mask) * T, ((newest - three) & mask) * T
+                h4, h5 = ((newest - four) & mask) * T, ((newest - five) & mask) * T
+                for i in range(uint64(count)):
+                    # the car arrives with Z*, P* (everything but the newest contact height), meets the node, takes h along
+                    z_star = a00 * z[i] + a01 * p[i] + b1 * h[h1 + i]
+                    p_star = a10 * z[i] + a11 * p[i] + c1 * h[h1 + i]
+                    if hold > 1:
+                        z_star += b2 * h[h2 + i] + b3 * h[h3 + i]
+                        p_star += c2 * h[h2 + i] + c3 * h[h3 + i]
+                    if hold > 3:
+                        z_star += b4 * h[h4 + i] + b5 * h[h5 + i]
+                        p_star += c4 * h[h4 + i] + c5 * h[h5 + i]
+                    before = road[at + i]
+                    if kind == CONSTANT:
+                        pressed = (before - push + pull * z_star) * scale
+                        ceiling = before + slack
+                        contact = ceiling if ceiling < pressed else pressed  # in this order a NaN is kept
+                        airborne += 1 if ceiling < pressed else 0
+                    else:
+                        contact = contact_height(before, z_star, b0, half, omega2, kind, value, shape, slack == 0.0)
+                        unloaded = 1.0 + omega2 * (before - z_star - b0 * before) <= 0.0
+                        airborne += 1 if slack == 0.0 and unloaded else 0
+                    h[new + i] = contact
+                    road[at + i] = 2.0 * contact - before
+                    z[i] = z_star + b0 * contact
+                    p[i] = p_star + c0 * contact
             _copy_back(state, 0, cars, front, z, uint64(0), count)
             _copy_back(state, cars, cars, front, p, uint64(0), count)
             for q in range(hold):

@@ -49,7 +49,7 @@ def relaxation_matrix(k, *, headway, rows, diffusion) -> np.ndarray:
 
 
 def floquet(scene, k, **numerics) -> complex:
-    """sigma of the cars scheme on `scene` at wavenumber k (scalar), for numerics as in simulate(model="cars").
+    """sigma of the cars scheme on `scene` at wavenumber k (scalar); numerics as in simulate(model="cars").
 
     Of the matrix's eigenvalues the one nearest the continuum's. SceneError unless the cars are identical and evenly
     spaced over whole nodes and both laws constant; lift-off is left out (it is no linear effect).
@@ -60,7 +60,9 @@ def floquet(scene, k, **numerics) -> complex:
 def floquet_mode(scene, k, **numerics) -> tuple[complex, np.ndarray]:
     """sigma as `floquet`, and the road at a sample: its components at k, k + 2 pi/l, ..., the first 1; shape (rows,)."""
     fleet, count = scene.fleet, scene.fleet.count
-    nodes, hold, relax_every = (numerics.get(name, default) for name, default in _defaults(scene).items())
+    from ..models.cars import numerics as checked  # not at the top: theory is read before the models
+
+    nodes, hold, relax_every = (checked(scene, numerics)[name] for name in ("nodes", "hold", "relax_every"))
     laws = scene.road.softness, scene.road.diffusivity
     car = [fleet.per_car(name) for name in ("speed", "frequency", "damping", "mass")]
     spacing = np.sort(fleet.positions(scene.road.length)) - np.arange(count) * scene.headway
@@ -92,9 +94,3 @@ def floquet_mode(scene, k, **numerics) -> tuple[complex, np.ndarray]:
     components = np.fft.fft(vectors[:rows, nearest] * np.exp(-1j * k * scene.headway * place))
     components *= np.exp(-2j * np.pi * np.arange(rows) / rows)
     return complex(sigma + 2j * np.pi * turns / span), components / components[0]
-
-
-def _defaults(scene) -> dict:
-    from ..models.cars import numerics  # not at the top: theory is read before the models
-
-    return numerics(scene, {})
