@@ -7,11 +7,10 @@ from scipy.linalg import expm
 from scipy.optimize import root
 
 from traffic_road.errors import SceneError, TrafficRoadError
+from traffic_road.theory.continuation import at_lift_off, system
 from traffic_road.theory.stability import neutral_softness
 from traffic_road.theory.wave_stability import wave_stability
 from traffic_road.theory.waves import (
-    _at_lift_off,
-    _system,
     harmonic_balance,
     saturation_limit,
     travelling_wave,
@@ -144,15 +143,15 @@ def test_height_solves_the_equation():
 
 
 def test_jacobian():
-    wave = _at_lift_off(0.9, 0.01, 0.1, 6)
+    wave = at_lift_off(0.9, 0.01, 0.1, 6)
     rng = np.random.default_rng(1)
     u = wave.u + 0.02 * (rng.standard_normal(6) + 1j * rng.standard_normal(6))
     wave = wave.__class__(**{**vars(wave), "u": u, "weight": 0.4 * wave.weight})
-    _, a, b, by_velocity, force, chi = _system(wave)
+    _, a, b, by_velocity, force, chi = system(wave)
     step = 1e-6
 
     def changed(**changes):
-        return _system(wave.__class__(**{**vars(wave), **changes}))[0]
+        return system(wave.__class__(**{**vars(wave), **changes}))[0]
 
     du = rng.standard_normal(6) + 1j * rng.standard_normal(6)
     pairs = [

@@ -19,7 +19,7 @@ import xarray as xr
 from scipy.linalg import toeplitz
 
 from ..laws import finite
-from .waves import indicator, response
+from .continuation import indicator, response
 
 
 def wave_stability(wave: xr.Dataset, *, bloch: float = 0.0) -> np.ndarray:
