@@ -24,12 +24,13 @@ rates; the limit against wavenumber; and where, in the plane of damping and Delt
 theory is held. There Delta = 0.001, close to the leading order in small alpha and Delta, where only Delta/alpha counts.
 All this is for a road of one wavelength. On longer roads saturated waves are unstable to slow modulation: selection.py.
 
-Run: python experiments/restabilisation.py [--quick]        (about 100 s; 6 s)
+Run: python experiments/restabilisation.py [--quick]        (about 30 s; 6 s)
 """
 
 import numpy as np
 import xarray as xr
 from common import options, store
+from matplotlib import rc_context
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 from scipy.optimize import fsolve
@@ -233,7 +234,8 @@ def main() -> None:
     tenfold, thirtyfold, last = (product.isel(step=i) for i in (reach.size // 2, 3 * (reach.size - 1) // 4, -1))
     drift, earlier = last / thirtyfold - 1, thirtyfold / tenfold - 1
     print("amplitude*(limit - softness) from 32 to 100 times lift-off changes by", np.round(drift.values, 4))
-    store("restabilisation", chosen.output, ds, draw(ds))
+    with rc_context({"font.size": 8}):  # six panels in one picture
+        store("restabilisation", chosen.output, ds, draw(ds))
 
     # what is left is the next order in 1/A: it shrinks by sqrt(10) from one half of the decade to the next
     assert np.all(np.abs(drift) < 0.05), drift.values
@@ -257,7 +259,7 @@ def main() -> None:
 
 
 def draw(ds) -> Figure:
-    figure = Figure(figsize=(14, 8.2), layout="constrained")
+    figure = Figure(figsize=(11, 6.6), layout="constrained")
     (branch, inverse, runs), (rates, width, plane) = figure.subplots(2, 3)
     figure.suptitle("Lift-off holds a corrugation only up to a limit of the softness; beyond it nothing does")
     for j, k in enumerate(ds.k.values):
@@ -297,7 +299,7 @@ def draw(ds) -> Figure:
     rates.set(
         xlabel="softness $\\alpha$ / saturation limit",
         ylabel="rate $\\lambda$ $(10^{-3}\\,\\omega_0)$",
-        title="Return to the wave (dashed), growth beyond (solid, runs)",
+        title="Return below (dashed), growth beyond (solid)",
     )
     rates.legend(title="$k$ $(\\omega_0/v)$", frameon=False, loc="upper left")
     for row, g, style in zip(ds.width, ds.width_damping.values, ("-", "--", "-.", ":"), strict=False):
@@ -357,7 +359,7 @@ def _draw_plane(figure, axes, ds) -> None:
         yscale="log",
         xlabel="damping $\\Gamma$",
         ylabel="$\\Delta/\\alpha$",
-        title="Where lift-off holds the fastest mode (grey: not known)",
+        title="Does lift-off hold the fastest mode? (grey: not known)",
         ylim=(0.01, 10),
         xlim=(float(ds.damping[0]), float(ds.damping[-1])),
     )
