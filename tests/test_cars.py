@@ -377,9 +377,9 @@ def test_band_of_weights_is_the_transform(spread):
 
 def test_compiled_sweep_is_found_again_by_another_process():
     program = (
-        "import traffic_road as tr; from traffic_road.models import kernels\n"
+        "import traffic_road as tr; from traffic_road.models import even_kernels\n"
         "tr.simulate(tr.preset('paper'), 'cars', samples=2, nodes=64, hold=3)\n"
-        "print(sum(kernels.sweep_even(3, 0).stats.cache_hits.values()))"
+        "print(sum(even_kernels.sweep_even(3, 0).stats.cache_hits.values()))"
     )
     hits = [subprocess.run([sys.executable, "-c", program], capture_output=True, text=True).stdout for _ in range(2)]
     assert hits[1].strip() == "1"

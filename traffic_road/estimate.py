@@ -14,7 +14,7 @@ import numpy as np
 
 from .laws import Constant
 from .models import Sample, model
-from .models.cars import even_start
+from .models.cars_state import even_start
 from .scene import Fleet, Road
 from .theory.floquet import floquet_mode
 

@@ -1,0 +1,53 @@
+"""What even and mixed fleets have in common: kinds of car, how cars start, the force of a wheel."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..schemes import oscillator
+
+
+def kinds(fleet) -> tuple[np.ndarray, np.ndarray]:
+    """Distinct (speed, frequency, damping, mass), shape (kinds, 4), and the kind of each car, shape (count,)."""
+    columns = np.stack([fleet.per_car(name) for name in ("speed", "frequency", "damping", "mass")], axis=1)
+    distinct, kind_of = np.unique(columns, axis=0, return_inverse=True)
+    return distinct, kind_of.reshape(-1)
+
+
+def even_start(scene, nodes: int) -> tuple[np.ndarray, int] | None:
+    """For an even fleet: the cars in order of position, and the node of the first; None for any other fleet."""
+    fleet, length = scene.fleet, scene.road.length
+    distinct, _ = kinds(fleet)
+    if len(distinct) > 1 or nodes % fleet.count:
+        return None
+    position = fleet.positions(length)
+    order = np.argsort(position, kind="stable")
+    spacing = position[order] - np.arange(fleet.count) * scene.headway
+    if np.ptp(spacing) > 1e-9 * scene.headway:
+        return None
+    return order, int(node_behind(position[order[:1]], length / nodes)[0])
+
+
+def node_behind(position, dx):
+    """The node at or behind a position; a position within rounding of a node is on it."""
+    return np.floor(position / dx + 1e-9).astype(np.int64)
+
+
+def start(scene, road, node, kind_of, distinct, hold):
+    """Z, P (cars,) and the contact heights behind each car (cars, hold), newest first, at the start."""
+    length, nodes = scene.road.length, road.size
+    Z, P = np.empty(node.size), np.empty(node.size)
+    sink = float(scene.road.softness(np.mean(road))) * float(np.mean(scene.fleet.per_car("mass")))
+    for k, (speed, frequency, damping, _) in enumerate(distinct):
+        mine = kind_of == k
+        if scene.fleet.start == "rest":
+            Z[mine], P[mine] = road[node[mine]], 0.0
+        else:
+            height, momentum = oscillator.settled(road, length, speed, frequency, damping, sink)
+            Z[mine], P[mine] = height[node[mine]], momentum[node[mine]]
+    return Z, P, road[(node[:, None] - np.arange(hold)) % nodes]
+
+
+def force(scene, contact, Z, frequency, mass):
+    pressed = mass * (1.0 + frequency**2 * (contact - Z))
+    return np.maximum(pressed, 0.0) if scene.lift_off else pressed
