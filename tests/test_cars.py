@@ -10,7 +10,7 @@ from reference import plain_cars
 
 import traffic_road as tr
 from traffic_road.errors import SceneError, StabilityError
-from traffic_road.models import cars
+from traffic_road.models import Sample, cars
 from traffic_road.schemes import relaxation
 from traffic_road.schemes.oscillator import propagator
 from traffic_road.theory import dispersion, fleet_dispersion, floquet
@@ -29,7 +29,8 @@ def scene(*, count=8, softness=0.006, diffusivity=0.01, damping=0.1, amplitude=1
 
 def run(scene, times, **numerics):
     numerics = cars.numerics(scene, numerics)
-    return list(cars.samples(scene, cars.sample_times(scene, times, numerics), numerics))
+    everything = cars.samples(scene, cars.sample_times(scene, times, numerics), numerics)
+    return [sample for sample in everything if isinstance(sample, Sample)]
 
 
 def late_sigma(samples):

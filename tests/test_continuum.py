@@ -13,7 +13,7 @@ from scipy.integrate import solve_ivp
 
 from traffic_road.errors import SceneError
 from traffic_road.laws import Bounded, Exponential
-from traffic_road.models import continuum
+from traffic_road.models import Sample, continuum
 from traffic_road.profiles import Heights, Noise, Sine
 from traffic_road.scene import Fleet, Road, Scene
 from traffic_road.schemes.exponential import exact, krogstad
@@ -30,7 +30,8 @@ def ring(duration, *, softness=0.006, diffusivity=0.01, profile=None, fleet=FLEE
 
 def run(scene, times=None, **given):
     times = [0.0, scene.duration] if times is None else times
-    return list(continuum.samples(scene, times, continuum.numerics(scene, given)))
+    everything = continuum.samples(scene, times, continuum.numerics(scene, given))
+    return [sample for sample in everything if isinstance(sample, Sample)]
 
 
 def dop853(scene, nodes, rtol, oversampling=32):

@@ -12,7 +12,7 @@ from tqdm import tqdm
 from .errors import SceneError, shown
 from .estimate import error_estimate
 from .laws import finite, whole
-from .models import Sample, model
+from .models import Breath, Sample, model
 from .scene import Scene
 from .store import assemble, refuse_unwritable, save
 
@@ -112,6 +112,8 @@ def _collect(scene, module, times, numerics, progress) -> tuple[list[Sample], st
     disable = None if progress is None else progress is not True
     with np.errstate(all="ignore"), tqdm(total=len(times), delay=2, disable=disable, leave=False, unit="sample") as bar:
         for sample in module.samples(scene, times, numerics):
+            if isinstance(sample, Breath):
+                continue
             if not healthy(sample) and not taken:
                 raise SceneError(
                     f"scene: corrugation {np.ptp(sample.road_height):.3g} at the start, must be finite and < {RUNAWAY:g}; "

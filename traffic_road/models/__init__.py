@@ -4,13 +4,17 @@ numerics(scene, given) -> dict         every parameter, defaults filled in; Scen
 coarser(scene, numerics) -> dict       the same at half the resolution, for an error estimate by a pair of runs; or None
 finer(scene, numerics, given) -> dict  the same at twice the resolution, but for what was given
 sample_times(scene, times, numerics)   the times (n,) at which samples will be taken, nearest to those asked for
-samples(scene, times, numerics)        an iterator over Sample, the first at the start; `times` (n,) increasing from 0
+samples(scene, times, numerics, state) an iterator over Sample, one for each of `times` (n,) increasing from 0, and between
+                                       them over Breath, wherever the run may be left; the last is always a Sample.
+                                       `state`: None, or what a Breath of the same run gave, to go on from there bit for bit
 PAIR_RATIO                             a run differs from its coarser one by at least this many times its own error
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from importlib import import_module
+from time import perf_counter
 from types import ModuleType
 from typing import NamedTuple
 
@@ -19,6 +23,7 @@ import numpy as np
 from ..errors import SceneError
 
 MODELS = ("cars", "continuum")
+PACE = 0.1  # seconds of work between one breath and the next
 
 
 class Sample(NamedTuple):
@@ -31,6 +36,31 @@ class Sample(NamedTuple):
     where: np.ndarray | None
     updates: int  # road-node updates done so far
     airborne: int | None = None  # of these, passages of a car that pressed on nothing; None where cars are a field
+
+
+class Breath(NamedTuple):
+    """A moment at which the run can be left. It changes nothing: a consumer that does not care skips it.
+
+    state() -> dict of arrays and numbers, all that is needed to go on; "taken" is the number of samples before it. To be
+    called before the iterator is asked for more.
+    """
+
+    time: float
+    state: Callable[[], dict]
+
+
+class Pace:
+    """When to breathe: where the clock says so, since breaths change nothing."""
+
+    def __init__(self):
+        self.last = perf_counter()
+
+    def due(self) -> bool:
+        now = perf_counter()
+        if now - self.last < PACE:
+            return False
+        self.last = now
+        return True
 
 
 def model(name: str) -> ModuleType:

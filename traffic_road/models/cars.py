@@ -6,6 +6,9 @@ car in the order of time in `cars_mixed`, and is sampled at the very times that 
 
 The relaxation acts every `relax_every` mean headways. Half of one opens and closes the run and each sample (Strang), so
 that the road is second order in the interval at every sample.
+
+Where both laws are constant nothing depends on how far the road has sunk, and a whole level is taken off all heights from
+time to time (`cars_state.sink_rate`): a road that has sunk by 1e5 resolves what a fresh one does.
 """
 
 from __future__ import annotations
@@ -17,7 +20,7 @@ import numpy as np
 from ..errors import SceneError, StabilityError
 from ..laws import whole
 from ..schemes import oscillator
-from . import Sample
+from . import Breath, Sample
 from .cars_even import even_samples
 from .cars_mixed import mixed_samples
 from .cars_state import even_start, kinds
@@ -102,12 +105,12 @@ def _too_coarse(dx, distinct, hold):
     return (B[:, 0, 0] >= 1) | ~(oscillator.least_response(A, B, frequency * dx / speed) > 0)
 
 
-def samples(scene, times, numerics: dict) -> Iterator[Sample]:
+def samples(scene, times, numerics: dict, state: dict | None = None) -> Iterator[Sample | Breath]:
     """Run the scene; see `models` for the contract. A car between two nodes starts from the node behind it, earlier."""
     even = even_start(scene, numerics["nodes"])
     if even is not None:
-        return even_samples(scene, times, *even, **numerics)
-    return mixed_samples(scene, times, **numerics)
+        return even_samples(scene, times, *even, state, **numerics)
+    return mixed_samples(scene, times, state, **numerics)
 
 
 def sample_times(scene, times, numerics: dict) -> np.ndarray:

@@ -7,12 +7,13 @@ import numpy as np
 from ..laws import Constant
 from ..schemes import oscillator
 from ..schemes.relaxation import LONGEST_BAND, band, relax_law, relax_transform, symbol
-from . import Sample
-from .cars_state import force, kinds, start
+from . import Breath, Pace, Sample
+from .cars_state import force, kinds, level_of, sink_rate, start
 from .even_kernels import aligned, relax_band, sweep_even
 
 
-def even_samples(scene, times, order, first_node, *, nodes, hold, relax_every):
+def even_samples(scene, times, order, first_node, left=None, *, nodes, hold, relax_every):
+    """The samples of an even fleet; `left` is the state of a Breath to go on from."""
     fleet, length, count = scene.fleet, scene.road.length, scene.fleet.count
     distinct, _ = kinds(fleet)
     speed, frequency, damping, mass = distinct[0]
@@ -29,20 +30,32 @@ def even_samples(scene, times, order, first_node, *, nodes, hold, relax_every):
     road = _EvenRoad(scene, height, rows, first_node)
     back = np.argsort(order)
 
-    def sample(headways, updates, airborne):
+    def sample():
         Zs, last = state[:count][back], state[-count:][back]
-        where = (node[back] + headways * rows) % nodes * dx
+        where = (node[back] + done * rows) % nodes * dx
         pressed = force(scene, last, Zs, frequency, mass)
-        return Sample(headways * scene.headway / speed, road.heights(), Zs, pressed, where, updates, airborne)
+        time = done * scene.headway / speed
+        return Sample(time, road.heights() + level, Zs + level, pressed, where, done * nodes, airborne)
 
-    done = airborne = 0
-    yield sample(0, 0, 0)
-    for target in np.rint(np.asarray(times[1:]) * speed / scene.headway).astype(int):
-        chunks = [relax_every] * ((target - done) // relax_every)
-        if (target - done) % relax_every:
-            chunks.append((target - done) % relax_every)
-        pending = 0.0
-        for chunk in chunks:
+    def leave():
+        counts = {"taken": taken, "done": done, "airborne": airborne, "pending": pending, "level": level}
+        return counts | {"road": road.heights(), "cars": state.copy()}
+
+    taken = done = airborne = 0
+    pending = level = 0.0  # headways of relaxation that are due; what has been taken off all heights
+    if left is not None:
+        taken, done, airborne, pending, level = (left[k] for k in ("taken", "done", "airborne", "pending", "level"))
+        road.put_heights(left["road"])
+        state[:] = left["cars"]
+    else:
+        yield sample()
+        taken = 1
+    sink, pace = sink_rate(scene) * scene.headway / speed, Pace()
+    for target in np.rint(np.asarray(times[taken:]) * speed / scene.headway).astype(int).tolist():
+        while done < target:
+            chunk = min(relax_every, target - done)
+            if pace.due():
+                yield Breath(done * scene.headway / speed, leave)
             road.relax(pending + chunk / 2)
             for _ in range(chunk):
                 airborne += sweep(
@@ -51,8 +64,16 @@ def even_samples(scene, times, order, first_node, *, nodes, hold, relax_every):
                 )  # fmt: skip
                 done += 1
             pending = chunk / 2
+            if sink * done // 1 != sink * (done - chunk) // 1:
+                sunk = level_of(road.heights())
+                road.put_heights(road.heights() - sunk)
+                state[:count] -= sunk  # Z, and below the contact heights; P does not know the level
+                state[2 * count :] -= sunk
+                level += sunk
         road.relax(pending)
-        yield sample(done, done * nodes, airborne)
+        pending = 0.0
+        yield sample()
+        taken += 1
 
 
 class _EvenRoad:
@@ -74,7 +95,7 @@ class _EvenRoad:
         self.stride += -self.stride % 8
         self.flat = aligned(rows * self.stride)
         self.other = aligned(rows * self.stride)
-        self._put(np.roll(height, -first_node - 1))
+        self.put_heights(height)
 
     def _put(self, heights):
         table = self.flat.reshape(self.rows, self.stride)
@@ -87,6 +108,9 @@ class _EvenRoad:
     def heights(self):
         """Heights by node, shape (nodes,)."""
         return np.roll(self._get(), self.first_node + 1)
+
+    def put_heights(self, heights):
+        self._put(np.roll(heights, -self.first_node - 1))
 
     def relax(self, headways: float) -> None:
         if self.still or headways == 0:

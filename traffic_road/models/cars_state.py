@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from ..laws import Constant
 from ..schemes import oscillator
 
 
@@ -51,3 +52,20 @@ def start(scene, road, node, kind_of, distinct, hold):
 def force(scene, contact, Z, frequency, mass):
     pressed = mass * (1.0 + frequency**2 * (contact - Z))
     return np.maximum(pressed, 0.0) if scene.lift_off else pressed
+
+
+def sink_rate(scene) -> float:
+    """How fast the road sinks under the cars' weight where nothing depends on how far it has; 0 where a law does.
+
+    Where this times the time passes a whole number, the road's level is taken off all heights and kept apart.
+    """
+    laws = scene.road.softness, scene.road.diffusivity
+    if not all(isinstance(law, Constant) for law in laws):
+        return 0.0
+    return laws[0].value * float(np.mean(scene.fleet.per_car("mass")))
+
+
+def level_of(height) -> float:
+    """The whole number nearest to the mean of `height`; 0 where there is none."""
+    level = float(np.rint(np.mean(height)))
+    return level if np.isfinite(level) else 0.0

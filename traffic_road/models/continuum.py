@@ -25,19 +25,21 @@ of 10 %.
 from __future__ import annotations
 
 from functools import lru_cache
+from time import perf_counter
 
 import numpy as np
 from numpy.fft import rfft  # less overhead a call than scipy.fft on the short transforms of one wave
 
 from ..errors import SceneError
 from ..laws import finite
-from . import Sample
+from . import Breath, Pace, Sample
 from .continuum_state import Continuum, Kinds, constant, modes
 
 KEYWORDS = ("nodes", "step")
 PAIR_RATIO = 2.0  # a pair of runs differs by 3 times the error of the better one at order 2, by more at order 4
 LARGEST = 2e9  # multiplications in one product of all matrices: about a minute for a rebuild
 MOST_STEPS = 1e10
+FIRST_BATCH, LONGEST_BATCH = 16, 0.05  # steps taken at a time: from so few, doubled as long as they take fewer seconds
 
 
 def numerics(scene, given: dict) -> dict:
@@ -95,31 +97,53 @@ def sample_times(scene, times, numerics: dict) -> np.ndarray:
     return np.asarray(times, dtype=float)
 
 
-def samples(scene, times, numerics: dict):
+def samples(scene, times, numerics: dict, state: dict | None = None):
     """Yield a Sample at each of `times` (increasing, from 0); fields on x = j length/nodes, shape (nodes,).
 
     With several kinds of car `car_height` is the mean over the cars and `contact_force` the mean of mass times force.
     Equal steps, none longer than `step`, lead from one sample to the next; they are counted, but taken all in one where
-    that is exact. An overflowed state is yielded as it is.
+    that is exact. An overflowed state is yielded as it is. Between samples a Breath, see `models`; `state` is that of one.
     """
     continuum = Continuum(scene, numerics["nodes"])
-    step, now, updates = numerics["step"], 0.0, 0
     always_linear = continuum.stays_linear(float(times[-1]))
-    for time in map(float, times):
-        if time > now:
-            steps = max(1, int(np.ceil((time - now) / step * (1 - 1e-12))))
+
+    def leave():
+        run = {"taken": taken, "now": now, "updates": updates, "steps": steps, "left": left, "length": length}
+        return run | continuum.leave()
+
+    taken = updates = steps = left = 0  # steps between two samples, and how many of them are left
+    now = length = 0.0
+    if state is not None:
+        taken, now, updates, steps, left, length = (
+            state[k] for k in ("taken", "now", "updates", "steps", "left", "length")
+        )
+        continuum.take_up(state)
+    pace, batch = Pace(), FIRST_BATCH
+    for time in map(float, times[taken:]):
+        if time > now and not left:
+            steps = max(1, int(np.ceil((time - now) / numerics["step"] * (1 - 1e-12))))
             updates += steps * numerics["nodes"]
             linear = always_linear or continuum.stays_linear(time - now)
-            steps = 1 if linear else steps
+            steps = left = 1 if linear else steps
             length = (time - now) / steps
             if abs(length - continuum.step) * steps <= 8 * np.finfo(float).eps * time:
                 length = continuum.step  # the same but for the rounding of `times`: keep the matrices
             if linear:
                 continuum.leap(length)
-            else:
-                continuum.advance(length, steps)
-            now += steps * length
+                left = 0
+        while left:
+            begin, some = perf_counter(), min(batch, left)
+            continuum.advance(length, some)
+            left -= some
+            batch *= 2 if perf_counter() - begin < LONGEST_BATCH else 1
+            if left and pace.due():
+                yield Breath(now + (steps - left) * length, leave)
+        now += steps * length
+        steps = 0
         yield Sample(time, *continuum.fields(), None, updates)
+        taken += 1
+        if taken < len(times) and pace.due():
+            yield Breath(now, leave)
 
 
 @lru_cache(maxsize=4)

@@ -121,6 +121,22 @@ class Continuum:
         self.half = exact(*self.linear, step / 2)
         self.full = doubled(self.half)
 
+    def leave(self) -> dict:
+        """All that is needed to go on as if nothing had been."""
+        leapt = self.half is None
+        return {"state": self.state.copy(), "step": self.step, "alpha": self.alpha, "delta": self.delta, "leapt": leapt}
+
+    @np.errstate(all="ignore")
+    def take_up(self, left: dict) -> None:
+        """Be as `leave` left it."""
+        self.state = left["state"].copy()
+        self.alpha, self.delta = left["alpha"], left["delta"]
+        self.linear = self.linear_part()
+        if left["leapt"]:
+            self.step, self.half, self.full = left["step"], None, exact(*self.linear, left["step"])
+        else:
+            self.build(left["step"])
+
     @np.errstate(all="ignore")
     def stays_linear(self, duration: float) -> bool:
         """Whether it is certain that for `duration` no law varies and no car takes off."""

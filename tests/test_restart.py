@@ -1,0 +1,97 @@
+"""A run that is left at any moment and taken up again ends with the same bits; a sunken road keeps its corrugation."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import traffic_road as tr
+from traffic_road import models
+from traffic_road.models import Breath, Sample, cars, cars_even, continuum
+from traffic_road.theory import floquet
+
+K = 0.9
+LENGTH = 2 * np.pi / K
+
+
+def scene(softness=0.006, diffusivity=0.01, amplitude=1.5, duration=60.0, damping=0.1, **fleet):
+    return tr.Scene(
+        tr.Road(LENGTH, softness, diffusivity, tr.Sine(amplitude, K)), tr.Fleet(8, damping, **fleet), duration
+    )
+
+
+SOFT = {"softness": tr.Exponential(0.02, 0.3), "diffusivity": tr.Exponential(0.01, 0.2)}
+SPEEDS = (1.0, 1.1, 0.9, 1.0, 1.2, 1.0, 0.8, 1.0)
+CASES = {
+    "even": (cars, scene(), {"nodes": 64}),
+    "even, sinking": (cars, scene(softness=0.2), {"nodes": 64, "relax_every": 3}),
+    "even, laws": (cars, scene(**SOFT), {"nodes": 48, "hold": 5}),
+    "mixed": (cars, scene(speed=SPEEDS), {"nodes": 64}),
+    "mixed, sinking": (cars, scene(speed=SPEEDS, softness=0.2), {"nodes": 64, "hold": 1}),
+    "mixed, laws": (cars, scene(speed=SPEEDS, **SOFT), {"nodes": 48, "relax_every": 2}),
+    "continuum": (continuum, scene(), {"nodes": 32, "step": 0.25}),
+    "continuum, linear": (continuum, scene(amplitude=1e-3), {"nodes": 16}),
+    "continuum, then bouncing": (continuum, scene(amplitude=0.9, softness=0.02), {"nodes": 32, "step": 0.25}),
+    "continuum, laws": (continuum, scene(**SOFT), {"nodes": 32, "step": 0.25}),
+    "continuum, many nodes": (continuum, scene(), {"nodes": 600, "step": 2.0}),
+    "continuum, kinds": (continuum, scene(speed=SPEEDS), {"nodes": 32, "step": 1.0}),
+}
+TIMES = [0.0, 7.0, 8.0, 31.0, 60.0]  # uneven: steps and relaxation differ from stretch to stretch
+
+
+def same(a: Sample, b: Sample) -> bool:
+    fields = zip(a, b, strict=True)
+    return all(np.asarray(x).tobytes() == np.asarray(y).tobytes() for x, y in fields)
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_a_run_left_at_any_breath_goes_on_with_the_same_bits(name, monkeypatch):
+    module, case, given = CASES[name]
+    numerics = module.numerics(case, given)
+    times = module.sample_times(case, TIMES, numerics)
+    whole = [s for s in module.samples(case, times, numerics) if isinstance(s, Sample)]
+    assert len(whole) == len(times)
+    monkeypatch.setattr(models, "PACE", 0.0)
+    monkeypatch.setattr(continuum, "FIRST_BATCH", 3)
+    monkeypatch.setattr(continuum, "LONGEST_BATCH", 0.0)
+    everything = list(module.samples(case, times, numerics))
+    breathed = [s for s in everything if isinstance(s, Sample)]
+    assert all(map(same, whole, breathed))
+    assert isinstance(everything[-1], Sample)
+    states = [b.state() for b in module.samples(case, times, numerics) if isinstance(b, Breath)]
+    assert len(states) >= (3 if "linear" in name else 10)
+    for state in states[:: max(1, len(states) // 12)]:
+        taken = state["taken"]
+        rest = [s for s in module.samples(case, times, numerics, state) if isinstance(s, Sample)]
+        assert len(rest) == len(times) - taken
+        assert all(map(same, whole[taken:], rest))
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_a_state_is_plain_numbers_and_arrays_of_its_own(name, monkeypatch):
+    module, case, given = CASES[name]
+    numerics = module.numerics(case, given)
+    monkeypatch.setattr(models, "PACE", 0.0)
+    kept = []
+    for item in module.samples(case, module.sample_times(case, TIMES, numerics), numerics):
+        if isinstance(item, Breath):
+            state = item.state()
+            kept.append((state, {name: np.copy(value) for name, value in state.items()}))
+    for state, copied in kept:  # the run that went on has not touched it
+        for key, value in state.items():
+            assert isinstance(value, (bool, int, float, np.ndarray)), key
+            np.testing.assert_array_equal(value, copied[key])
+
+
+# ---------------------------------------------------------------- the mean level
+
+
+def corrugations(module, case, times, numerics):
+    """Roads at the last time, mean removed, of the waves 1e-6 and 0.05 and of a flat start, and how far they have sunk."""
+    roads = []
+    for amplitude in (1e-6, 0.05, 0.0):
+        road = replace(case.road, profile=tr.Sine(amplitude, K) if amplitude else None)
+        *_, last = module.samples(replace(case, road=road), times, numerics)
+        roads.append(last.road_height)
+    sunk = roads[0].mean()
+    return [road - road.mean() for road in roads], sunk
