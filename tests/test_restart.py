@@ -4,11 +4,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.optimize import brentq
 
 import traffic_road as tr
 from traffic_road import models
-from traffic_road.models import Breath, Sample, cars, cars_even, continuum
-from traffic_road.theory import floquet
+from traffic_road.models import Breath, Sample, cars, cars_even, cars_mixed, continuum
+from traffic_road.theory import dispersion, floquet
 
 K = 0.9
 LENGTH = 2 * np.pi / K
@@ -85,13 +86,60 @@ def test_a_state_is_plain_numbers_and_arrays_of_its_own(name, monkeypatch):
 
 # ---------------------------------------------------------------- the mean level
 
+NEUTRAL = {"softness": 4.0, "diffusivity": 2.151923415141147}  # see the first test: neither grows nor decays
 
-def corrugations(module, case, times, numerics):
-    """Roads at the last time, mean removed, of the waves 1e-6 and 0.05 and of a flat start, and how far they have sunk."""
+
+def corrugations(case, duration, numerics):
+    """The roads that waves of 1e-6 and 0.01 lead to, over that height, and how far the first has sunk.
+
+    Without their means, and without the ripple of 4e-11 that passages leave on a uniform road: it is there at once.
+    """
     roads = []
-    for amplitude in (1e-6, 0.05, 0.0):
-        road = replace(case.road, profile=tr.Sine(amplitude, K) if amplitude else None)
-        *_, last = module.samples(replace(case, road=road), times, numerics)
+    for amplitude, until in ((0.0, 100.0), (1e-6, duration), (0.01, duration)):
+        road = replace(case.road, profile=tr.Sine(amplitude, K))
+        times = cars.sample_times(case, [0.0, until], numerics)
+        *_, last = cars.samples(replace(case, road=road), times, numerics)
         roads.append(last.road_height)
-    sunk = roads[0].mean()
-    return [road - road.mean() for road in roads], sunk
+    ripple, small, large = (road - road.mean() for road in roads)
+    return (small - ripple) / 1e-6, (large - ripple) / 0.01, roads[1].mean()
+
+
+def test_a_road_sunk_by_1e5_resolves_a_corrugation_of_1e_6(monkeypatch):
+    case, numerics = scene(**NEUTRAL), {"nodes": 64, "hold": 3, "relax_every": 1}
+    assert abs(floquet(case, K, **numerics).real) < 1e-12
+    small, large, level = corrugations(case, 2.5e4, numerics)
+    assert level == pytest.approx(-1e5, rel=1e-4)
+    assert np.ptp(large) > 1  # it is still there
+    # half a unit in the last place of 1e5 is 7.3e-12, 7.3e-6 of the wave: no more than what a double can hold
+    assert np.abs(small - large).max() < 2 * 7.3e-6
+    monkeypatch.setattr(cars_even, "sink_rate", lambda case: 0.0)
+    small, _, _ = corrugations(case, 2.5e4, numerics)
+    assert np.abs(small - large).max() > 1e-4  # it is the level apart that keeps it
+
+
+@pytest.mark.parametrize("speeds", [1.0, SPEEDS])
+def test_the_level_apart_changes_rounding_alone(speeds, monkeypatch):
+    case = scene(softness=0.2, speed=speeds)
+    numerics = cars.numerics(case, {"nodes": 64})
+    times = cars.sample_times(case, TIMES, numerics)
+    apart = list(cars.samples(case, times, numerics))
+    for module in (cars_even, cars_mixed):
+        monkeypatch.setattr(module, "sink_rate", lambda case: 0.0)
+    together = list(cars.samples(case, times, numerics))
+    assert apart[-1].road_height.mean() < -10
+    for a, b in zip(apart, together, strict=True):
+        for one, other in zip(a, b, strict=True):
+            np.testing.assert_allclose(one, other, rtol=0, atol=1e-11)
+    assert any(np.any(a.road_height != b.road_height) for a, b in zip(apart, together, strict=True))
+
+
+def test_the_continuum_at_a_depth_of_1e5():
+    softness = 0.1
+    diffusivity = brentq(lambda d: dispersion(K, softness=softness, diffusivity=d, damping=0.1).real, 0.01, 1.0)
+    roads = []
+    for amplitude in (1e-6, 0.01):
+        case = scene(softness=softness, diffusivity=diffusivity, amplitude=amplitude)
+        *_, last = continuum.samples(case, np.array([0.0, 1e6]), {"nodes": 16, "step": 0.5})
+        roads.append((last.road_height - last.road_height.mean()) / amplitude)
+    assert last.road_height.mean() == pytest.approx(-1e5, rel=1e-9)
+    assert np.ptp(roads[1]) > 1 and np.abs(roads[0] - roads[1]).max() < 2 * 7.3e-6

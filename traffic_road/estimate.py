@@ -14,7 +14,7 @@ import numpy as np
 
 from .laws import Constant
 from .models import Sample, model
-from .models.cars_state import even_start
+from .models.cars_state import even_start, sink_rate
 from .scene import Fleet, Road
 from .theory.floquet import floquet_mode
 
@@ -37,7 +37,10 @@ def error_estimate(scene, name: str, numerics: dict, last: Sample) -> tuple[floa
         *_, second = module.samples(scene, np.array([0.0, last.time]), other)
         error = _distance(last.road_height, second.road_height) / ratio
         method = f"a second run at {times} the resolution"
-    rounding = np.finfo(float).eps * np.abs(last.road_height).max() * np.sqrt(last.updates / last.road_height.size)
+    reach = depth = np.abs(last.road_height).max()
+    if name != "cars" or sink_rate(scene):  # the mean level is kept apart, and only the sample rounds at its depth
+        reach = min(depth, 1.0 + np.ptp(last.road_height))
+    rounding = np.finfo(float).eps * (depth + reach * np.sqrt(last.updates / last.road_height.size))
     if size <= rounding:
         return 0.0, "none: the road is flat to rounding"
     return float((error + rounding) / size), method
