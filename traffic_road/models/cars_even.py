@@ -66,7 +66,6 @@ def even_samples(scene, times, order, first_node, left=None, *, nodes, hold, rel
             pending = chunk / 2
             if sink * done // 1 != sink * (done - chunk) // 1:
                 sunk = level_of(road.heights())
-                sunk = level_of(road.heights())
                 road.flat -= sunk
                 state[:count] -= sunk  # Z, and below the contact heights; P does not know the level
                 state[2 * count :] -= sunk
