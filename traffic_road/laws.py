@@ -13,6 +13,7 @@ import numpy as np
 from .errors import SceneError, shown
 
 CONSTANT, EXPONENTIAL, BOUNDED = 0, 1, 2
+LARGEST = 1e30  # argument of a closed form: far beyond any use, and products of them do not overflow
 
 
 def finite(
@@ -50,6 +51,33 @@ def whole(name: str, value, least: int, most: int) -> int:
     if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or not least <= value <= most:
         raise SceneError(f"{name} = {shown(value)}: must be a whole number >= {least} and <= {most}")
     return int(value)
+
+
+def checked(name: str, value, *, above=-np.inf, least=-np.inf, below=np.inf) -> np.ndarray:
+    """`value` as a float array; SceneError unless all of it is > `above`, >= `least`, < `below` and <= LARGEST in size."""
+    bounds = {">": above, ">=": least, "<": below}
+    allowed = "finite" + "".join(f" and {sign} {bound:g}" for sign, bound in bounds.items() if np.isfinite(bound))
+    allowed += f", at most {LARGEST:g} in size"
+    try:
+        array = np.asarray(value)
+        if array.dtype.kind not in "iuf":  # True, "1" and 1j are no real numbers
+            raise TypeError
+        array = array.astype(float)
+    except (TypeError, ValueError):
+        raise SceneError(f"{name} = {shown(value)}: must be {allowed}; give a number or an array of numbers") from None
+    bad = ~(np.isfinite(array) & (array > above) & (array >= least) & (array < below) & (np.abs(array) <= LARGEST))
+    if bad.any():
+        raise SceneError(f"{name} = {array[bad].flat[0]}: must be {allowed}")
+    return array
+
+
+def together(**arrays) -> list[np.ndarray]:
+    """The arrays, broadcast against each other; SceneError names their shapes if that cannot be."""
+    try:
+        return np.broadcast_arrays(*arrays.values())
+    except ValueError:
+        shapes = ", ".join(f"{name} {np.shape(value)}" for name, value in arrays.items())
+        raise SceneError(f"shapes do not fit each other: {shapes}; give numbers, or arrays that broadcast") from None
 
 
 @dataclass(frozen=True)

@@ -2,14 +2,16 @@
 
 R(s) = s^2 / (s^2 + 2 Gamma s + 1) is the response of the contact force, F - 1 = R h, to a road that varies as exp(s t)
 under the wheel; s = sigma + i k. Everything is dimensionless (time 1/omega_0, distance v/omega_0); Re sigma is the growth
-rate, -Im sigma / k the phase velocity. Arguments broadcast; every function returns complex sigma.
+rate, -Im sigma / k the phase velocity. Arguments broadcast; every function returns complex sigma. SceneError unless
+wavenumber and hardening rate are finite, softness, diffusivity, damping >= 0, a headway > 0, and shapes fit each other.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from ..errors import SceneError
+from ..errors import SceneError, shown
+from ..laws import checked, finite, together
 
 
 def response(s, damping):
@@ -27,9 +29,20 @@ def dispersion_roots(k, *, softness, diffusivity, damping, hardening_rate=0.0) -
     (sigma + beta + Delta k^2) [(sigma + ik)^2 + 2 Gamma (sigma + ik) + 1] + alpha (sigma + ik)^2 = 0.
     Exact for constant alpha and Delta; with a hardening rate beta, the paper's frozen-coefficient form.
     """
-    k, alpha, diffusivity, damping, beta = np.broadcast_arrays(
-        *(np.asarray(a, dtype=float) for a in (k, softness, diffusivity, damping, hardening_rate))
+    return _roots(*_arguments(k, softness, diffusivity, damping, hardening_rate))
+
+
+def _arguments(k, softness, diffusivity, damping, hardening_rate):
+    return together(
+        k=checked("k", k),
+        softness=checked("softness", softness, least=0),
+        diffusivity=checked("diffusivity", diffusivity, least=0),
+        damping=checked("damping", damping, least=0),
+        hardening_rate=checked("hardening_rate", hardening_rate),
     )
+
+
+def _roots(k, alpha, diffusivity, damping, beta):
     loss = beta + diffusivity * k**2
     # in s = sigma + ik: s^3 + (2 Gamma + rest + alpha) s^2 + (1 + 2 Gamma rest) s + rest = 0
     rest = loss - 1j * k
@@ -57,26 +70,26 @@ def dispersion(k, *, softness, diffusivity, damping, hardening_rate=0.0, headway
     Exact for point wheels without diffusion, where it reads tanh(sigma l/2) = -(l/2)(beta + alpha R). With diffusion it
     is a guide, off by O(l^2): `floquet` is exact there. NaN where its Newton iteration finds no root.
     """
-    roots = dispersion_roots(
-        k, softness=softness, diffusivity=diffusivity, damping=damping, hardening_rate=hardening_rate
-    )
-    sigma = roots[..., 0]
+    k, softness, diffusivity, damping, beta = _arguments(k, softness, diffusivity, damping, hardening_rate)
+    sigma = _roots(k, softness, diffusivity, damping, beta)[..., 0]
     if headway is None:
         return sigma
-    if not np.all(np.asarray(headway) > 0):
-        raise SceneError(f"headway = {headway!r}: must be > 0, or None for the continuum")
-    half = np.asarray(headway) / 2
-    diffused = np.asarray(diffusivity) * np.asarray(k) ** 2
-    for _ in range(50):
-        s = sigma + 1j * np.asarray(k)
-        push = half * (hardening_rate + softness * response(s, damping))
-        miss = sigma + diffused + np.arctanh(push) / half
-        slope = 1 + softness * _response_slope(s, damping) / (1 - push**2)
-        step = miss / slope
-        sigma = sigma - step
-        if np.all(np.abs(step) <= 4e-16 * (1 + np.abs(sigma))):
-            break
-    return np.where(np.abs(step) <= 1e-12 * (1 + np.abs(sigma)), sigma, np.nan)
+    half = checked("headway", headway, above=0) / 2
+    sigma, k, softness, diffusivity, damping, beta, half = together(
+        sigma=sigma, k=k, softness=softness, diffusivity=diffusivity, damping=damping, hardening_rate=beta, headway=half
+    )
+    diffused = diffusivity * k**2
+    with np.errstate(all="ignore"):  # an iteration that runs away becomes NaN
+        for _ in range(50):
+            s = sigma + 1j * k
+            push = half * (beta + softness * response(s, damping))
+            miss = sigma + diffused + np.arctanh(push) / half
+            slope = 1 + softness * _response_slope(s, damping) / (1 - push**2)
+            step = miss / slope
+            sigma = sigma - step
+            if np.all(np.abs(step) <= 4e-16 * (1 + np.abs(sigma))):
+                break
+        return np.where(np.abs(step) <= 1e-12 * (1 + np.abs(sigma)), sigma, np.nan)
 
 
 def dispersion_leading(k, *, softness, diffusivity, damping, hardening_rate=0.0) -> np.ndarray:
@@ -84,8 +97,10 @@ def dispersion_leading(k, *, softness, diffusivity, damping, hardening_rate=0.0)
 
     Needs alpha << 2 Gamma^2; at the paper's own Fig. 5 it is off by tens of per cent.
     """
-    k = np.asarray(k, dtype=float)
-    return -hardening_rate - diffusivity * k**2 - softness * response(1j * k, np.asarray(damping))
+    k, softness, diffusivity, damping, beta = _arguments(k, softness, diffusivity, damping, hardening_rate)
+    if np.any((damping == 0) & (np.abs(k) == 1) & (softness > 0)):
+        raise SceneError("damping = 0: undamped cars resonate with k = 1, where sigma is infinite; give them damping > 0")
+    return -beta - diffusivity * k**2 - softness * response(1j * k, damping)
 
 
 def mode_matrix(k: float, fleet, *, softness, diffusivity, hardening_rate=0.0) -> np.ndarray:
@@ -116,11 +131,20 @@ def fleet_dispersion(k, fleet, *, softness, diffusivity, hardening_rate=0.0) -> 
     R = s^2/(s^2 + 2 Gamma omega s + omega^2), s = sigma + iku: the eigenvalues of `mode_matrix`. There the quiescent road
     sinks at alpha <m>, so that a law exp(eps H) hardens at beta = eps alpha <m>.
     """
-    k = np.asarray(k, dtype=float)
+    if not hasattr(fleet, "per_car"):
+        raise SceneError(f"fleet = {shown(fleet)}: must be a Fleet")
+    k = checked("k", k)
+    road = {
+        "softness": finite("softness", softness, least=0),
+        "diffusivity": finite("diffusivity", diffusivity, least=0),
+        "hardening_rate": finite("hardening_rate", hardening_rate),
+    }
     sigma = np.empty(k.shape, dtype=complex)
     for index in np.ndindex(k.shape):
-        roots = np.linalg.eigvals(
-            mode_matrix(k[index], fleet, softness=softness, diffusivity=diffusivity, hardening_rate=hardening_rate)
-        )
+        with np.errstate(all="ignore"):
+            matrix = mode_matrix(k[index], fleet, **road)
+        if not np.isfinite(matrix).all():
+            raise SceneError("fleet: its speeds, frequencies, damping or masses overflow; use lower ones")
+        roots = np.linalg.eigvals(matrix)
         sigma[index] = roots[np.argmax(roots.real)]
     return sigma[()]

@@ -7,8 +7,8 @@ import xarray as xr
 from scipy.integrate import solve_ivp
 
 from ..errors import SceneError
-from ..laws import Bounded, Constant, as_law, finite
-from .stability import checked, gain
+from ..laws import Bounded, Constant, as_law, checked, finite
+from .stability import gain
 
 
 def settle(law, damping, times, *, height=0.0, full=True) -> xr.Dataset:

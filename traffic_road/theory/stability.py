@@ -22,24 +22,10 @@ import xarray as xr
 from scipy.optimize import brentq
 
 from ..errors import SceneError
-from ..laws import finite
+from ..laws import checked, finite, together
 from .dispersion import dispersion
 
 GRAVITY = 9.81  # m/s^2
-
-
-def checked(name: str, value, *, above=-np.inf, least=-np.inf, below=np.inf) -> np.ndarray:
-    """`value` as a float array; SceneError unless all of it is finite, > `above`, >= `least` and < `below`."""
-    bounds = {">": above, ">=": least, "<": below}
-    allowed = "finite" + "".join(f" and {sign} {bound:g}" for sign, bound in bounds.items() if np.isfinite(bound))
-    try:
-        array = np.asarray(value, dtype=float)
-    except (TypeError, ValueError):
-        raise SceneError(f"{name} = {value!r}: must be {allowed}; give a number or an array of numbers") from None
-    bad = ~(np.isfinite(array) & (array > above) & (array >= least) & (array < below))
-    if bad.any():
-        raise SceneError(f"{name} = {array[bad].flat[0]}: must be {allowed}")
-    return array
 
 
 def gain(k, damping):
@@ -62,8 +48,9 @@ def neutral_softness(k, *, diffusivity, damping, hardening_rate=0.0):
 
     one root 0 < kappa < 1. The unknown is its distance from min(k, 1), so that no digits cancel.
     """
-    k, diffusivity, damping, rate = np.broadcast_arrays(
-        np.abs(checked("k", k)), *_coefficients(diffusivity, damping, hardening_rate)
+    diffusivity, damping, rate = _coefficients(diffusivity, damping, hardening_rate)
+    k, diffusivity, damping, rate = together(
+        k=np.abs(checked("k", k)), diffusivity=diffusivity, damping=damping, hardening_rate=rate
     )
     total = rate + diffusivity * k**2
     drag = 2 * damping * total
@@ -114,8 +101,8 @@ def critical_ratio(damping, hardening=0.0):
     The flat road is stable at larger ratios. Without hardening 1/(4 Gamma(1-Gamma)) for Gamma < 1/2, else 1 (text
     after Eq. 16). Broadcasts. SceneError unless damping > 0 and hardening >= 0.
     """
-    damping, hardening = np.broadcast_arrays(
-        checked("damping", damping, above=0), checked("hardening", hardening, least=0)
+    damping, hardening = together(
+        damping=checked("damping", damping, above=0), hardening=checked("hardening", hardening, least=0)
     )
     low, high = _ends(damping)
 
@@ -136,7 +123,7 @@ def fastest_mode(ratio, damping):
     further roots: k > 1, local minima, and local maxima that k = 0 outgrows (`jump_ratio`). Broadcasts.
     SceneError unless ratio >= 0 and damping > 0.
     """
-    ratio, damping = np.broadcast_arrays(checked("ratio", ratio, least=0), checked("damping", damping, above=0))
+    ratio, damping = together(ratio=checked("ratio", ratio, least=0), damping=checked("damping", damping, above=0))
     live = ratio < _jump(damping)  # elsewhere there is no root to look for
     ratio = np.where(live, ratio, 0.0)
     low, high = _ends(damping)
