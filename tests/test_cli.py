@@ -94,6 +94,20 @@ def test_numerics_arrive(capsys):
     assert tr.open("s.nc").attrs["numerics"] == '{"nodes": 40, "step": 0.3}'
 
 
+def test_a_stored_result_runs_again(capsys):
+    assert run(capsys, "run", "small.toml", "-o", "r.nc", "--samples", 5, "--nodes", 264, "--hold", 5)[0] == 0
+    assert run(capsys, "run", "r.nc", "-o", "again.nc")[0] == 0
+    first, again = tr.open("r.nc"), tr.open("again.nc")
+    assert again.road_height.identical(first.road_height) and again.attrs["numerics"] == first.attrs["numerics"]
+    assert run(capsys, "run", "r.nc", "-o", "other.nc", "--samples", 3, "--nodes", 272)[0] == 0
+    other = tr.open("other.nc")
+    assert other.time.size == 3 and other.attrs["numerics"] == '{"nodes": 272, "hold": 5, "relax_every": 1}'
+    os.rename("r.nc", "without_ending")
+    assert run(capsys, "run", "without_ending", "-o", "again.nc")[0] == 0
+    status, _, err = run(capsys, "run", "again.nc", "-o", "again.nc")
+    assert status == 2 and "would overwrite" in err
+
+
 def test_a_flat_road(capsys):
     for model in ("cars", "continuum"):
         status, _, err = run(
@@ -179,6 +193,7 @@ BAD = [
     (["run", "small.toml", "-o", "r.nc", "--plot", "none/r.png"], "none/r.png: cannot write"),
     (["run", "small.toml", "-o", "broken.toml/r.nc"], "Not a directory"),
     (["run", "small.toml", "-o", "/dev/null"], "no regular file"),
+    (["run", "none.nc", "-o", "r.nc"], "none.nc: cannot read as netCDF: No such file"),
     (["plot", "none.nc"], "none.nc: cannot read as netCDF: No such file"),
     (["plot", "small.toml"], "small.toml: cannot read as netCDF"),
     (["plot", "."], "cannot read as netCDF"),

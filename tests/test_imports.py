@@ -11,6 +11,7 @@ ROOT = Path(traffic_road.__file__).parent
 RANK = {
     "errors": 0,
     "laws": 1,
+    "memory": 1,
     "profiles": 2,
     "schemes": 2,
     "scales": 2,

@@ -16,6 +16,7 @@ _PUBLIC = {
     "to_si": "scales",
     "preset": "presets",
     "simulate": "run",
+    "rerun": "run",
     "mode": "analysis",
     "growth_rate": "analysis",
     "phase_velocity": "analysis",

@@ -73,10 +73,14 @@ def _parser() -> argparse.ArgumentParser:
     _add_numerics(compare)
     compare.set_defaults(command=_compare)
 
-    run = commands.add_parser("run", help="run a scene and store the result")
-    run.add_argument("scene", metavar="SCENE", help=_SCENE_HELP)
+    run = commands.add_parser(
+        "run", help="run a scene, or what a stored result was computed from, and store the result"
+    )
+    run.add_argument(
+        "scene", metavar="SCENE", help=_SCENE_HELP + ", or a netCDF file of `run`: to run that again as it was run"
+    )
     run.add_argument("-o", "--output", required=True, metavar="FILE", help="netCDF file to write")
-    run.add_argument("--model", default="auto", choices=("auto", "cars", "continuum"))
+    run.add_argument("--model", choices=("auto", "cars", "continuum"), help="default: auto")
     run.add_argument("--plot", metavar="PICTURE", help="draw the result, too (.png, .pdf, .svg)")
     _add_numerics(run)
     run.set_defaults(command=_run)
@@ -98,19 +102,18 @@ _SCENE_HELP = "a preset's name or a TOML file"
 
 
 def _add_numerics(parser):
-    parser.add_argument(
-        "--tolerance", type=float, default=1e-3, help="relative error of the corrugation (default 1e-3)"
-    )
-    parser.add_argument("--samples", type=int, default=101, help="number of times stored (default 101)")
+    parser.add_argument("--tolerance", type=float, help="relative error of the corrugation (default 1e-3)")
+    parser.add_argument("--samples", type=int, help="number of times stored (default 101)")
     parser.add_argument("--nodes", type=int, help="road nodes in all")
     parser.add_argument("--hold", type=int, help="cars: degree of the road under a wheel, 1, 3 or 5")
     parser.add_argument("--relax-every", type=int, metavar="N", help="cars: headways from one relaxation to the next")
     parser.add_argument("--step", type=float, help="continuum: time step")
 
 
-def _numerics(options) -> dict:
-    names = ("nodes", "hold", "relax_every", "step")
-    return {name: getattr(options, name) for name in names if getattr(options, name) is not None}
+def _given(options) -> dict:
+    """What was said of a run: the rest is left to its defaults."""
+    names = ("model", "tolerance", "samples", "wavenumber", "nodes", "hold", "relax_every", "step")
+    return {name: getattr(options, name) for name in names if getattr(options, name, None) is not None}
 
 
 def _scene(name: str):
@@ -122,6 +125,17 @@ def _scene(name: str):
     if not os.path.isfile(name) and not name.endswith(".toml"):
         raise SceneError(f"scene {shown(name)}: neither a preset ({', '.join(PRESETS)}) nor a TOML file that exists")
     return Scene.from_toml(name)
+
+
+def _is_netcdf(path: str) -> bool:
+    """Whether `path` is named as netCDF, or is a file that begins as one."""
+    if path.endswith(".nc") or not os.path.isfile(path):
+        return path.endswith(".nc")
+    try:
+        with open(path, "rb") as file:
+            return file.read(4) in (b"\x89HDF", b"CDF\x01", b"CDF\x02", b"CDF\x05")
+    except OSError:
+        return False
 
 
 def _refuse_output(options) -> None:
@@ -168,9 +182,7 @@ def _compare(options) -> int:
     from .plots import compare_figure, save_figure
     from .store import save
 
-    ds = compare(
-        scene, wavenumber=options.wavenumber, tolerance=options.tolerance, samples=options.samples, **_numerics(options)
-    )
+    ds = compare(scene, **_given(options))
     print(_table(ds))
     save(ds, options.output)
     save_figure(compare_figure(ds), picture)
@@ -205,14 +217,21 @@ def _table(ds) -> str:
 
 
 def _run(options) -> int:
-    scene = _scene(options.scene)
+    stored = _is_netcdf(options.scene)
+    if stored:
+        from .store import open_dataset
+
+        before = open_dataset(options.scene)
+    else:
+        scene = _scene(options.scene)
     _refuse_output(options)
     if options.plot is not None:
         _refuse_scene(options.plot, options)
         _refuse_picture(options.plot)
-    from .run import simulate
+    from .run import rerun, simulate
 
-    ds = simulate(scene, options.model, options.tolerance, options.samples, output=options.output, **_numerics(options))
+    given = _given(options)
+    ds = rerun(before, output=options.output, **given) if stored else simulate(scene, output=options.output, **given)
     print(
         f"{ds.attrs['model']}: {ds.attrs['status']}, error estimate {ds.attrs['error_estimate']:.1e} "
         f"({ds.attrs['error_method']}), {ds.attrs['updates']} node updates in {ds.attrs['wall_time']:.3g} s"

@@ -20,6 +20,7 @@ from .theory.floquet import floquet_mode
 
 STRONGEST = 8  # waves of the final road that stand for all of them
 FINE_ROWS = 96  # nodes a headway up to which a matrix of twice as many is still cheap
+MOST_ROWS = 400  # beyond which the matrices cost more than a second run of all
 
 
 def error_estimate(scene, name: str, numerics: dict, last: Sample) -> tuple[float, str]:
@@ -52,7 +53,8 @@ def _is_linear(scene, numerics, last):
         return False
     if 2 * scene.road.profile.highest_wave(scene.road.length) >= scene.fleet.count:
         return False  # waves that the cars take for longer ones
-    return even_start(scene, numerics["nodes"]) is not None
+    few = numerics["nodes"] <= MOST_ROWS * scene.fleet.count
+    return few and even_start(scene, numerics["nodes"]) is not None
 
 
 def _finer_scheme(rows: int, numerics: dict) -> tuple[int, dict]:

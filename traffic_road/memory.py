@@ -53,7 +53,9 @@ def _of_process() -> float:
         limit = resource.getrlimit(resource.RLIMIT_AS)[0]
         if limit == resource.RLIM_INFINITY:
             return float("inf")
-        return float(limit - int(Path("/proc/self/statm").read_text(encoding="ascii").split()[0]) * resource.getpagesize())
+        return float(
+            limit - int(Path("/proc/self/statm").read_text(encoding="ascii").split()[0]) * resource.getpagesize()
+        )
     except (ImportError, OSError, ValueError):
         return float("inf")
 

@@ -12,9 +12,10 @@ from tqdm import tqdm
 from .errors import SceneError, shown
 from .estimate import error_estimate
 from .laws import finite, whole
+from .memory import refuse_beyond_memory
 from .models import Breath, Sample, model
 from .scene import Scene
-from .store import assemble, refuse_unwritable, save
+from .store import arguments_of, assemble, refuse_unwritable, save
 
 MOST_SAMPLES = 10_000_000
 RUNAWAY = 1e12  # corrugation (g/omega_0^2) beyond which the road has blown up and rounding eats what is left
@@ -43,7 +44,7 @@ def simulate(scene, model="auto", tolerance=1e-3, samples=101, *, output=None, p
     finite("tolerance", tolerance, above=0)
     if output is not None:
         refuse_unwritable(output)
-    ds = _run(scene, name, finite("tolerance", tolerance), _times(scene, samples), numerics, progress)
+    ds = _run(scene, name, finite("tolerance", tolerance), samples, numerics, progress)
     if output is not None:
         save(ds, output)
     return ds
@@ -64,8 +65,20 @@ def _times(scene, samples) -> np.ndarray:
     return times
 
 
-def _run(scene, name, tolerance, times, given, progress):
-    module = model(name)
+def rerun(ds, **changes) -> xr.Dataset:
+    """Run again what a result of `simulate` was computed from; the same bits on the same machine.
+
+    Scene, model, tolerance, samples and numerics are those that `ds` carries; `changes` are arguments of `simulate` to use
+    instead, or besides. With another model its numerics are chosen anew. StoreError if `ds` does not carry them.
+    """
+    arguments = arguments_of(ds)
+    if changes.get("model", arguments["model"]) != arguments["model"]:
+        arguments = {name: arguments[name] for name in ("scene", "tolerance", "samples")}
+    return simulate(**(arguments | changes))
+
+
+def _run(scene, name, tolerance, samples, given, progress):
+    module, times = model(name), _times(scene, samples)
     numerics = module.numerics(scene, given)
     for attempt in range(REFINEMENTS + 1):
         begin = clock.perf_counter()
@@ -96,6 +109,7 @@ def _run(scene, name, tolerance, times, given, progress):
         "error_wall_time": estimate_time,
         "updates": taken[-1].updates,
         "status": status,
+        "samples": samples if np.ndim(samples) == 0 else times,
     }
     if taken[-1].airborne is not None:
         outcome["airborne_passages"] = taken[-1].airborne
@@ -114,6 +128,8 @@ def _collect(scene, module, times, numerics, progress) -> tuple[list[Sample], st
         for sample in module.samples(scene, times, numerics):
             if isinstance(sample, Breath):
                 continue
+            if not taken:
+                _refuse_too_many(sample, len(times))
             if not healthy(sample) and not taken:
                 raise SceneError(
                     f"scene: corrugation {np.ptp(sample.road_height):.3g} at the start, must be finite and < {RUNAWAY:g}; "
@@ -127,6 +143,13 @@ def _collect(scene, module, times, numerics, progress) -> tuple[list[Sample], st
             if report is not None:
                 report(len(taken) / len(times))
     return taken, status
+
+
+def _refuse_too_many(sample: Sample, held: int) -> None:
+    """SceneError if `held` samples at once, and the Dataset they are stacked to, do not fit in memory."""
+    size = sum(np.size(a) for a in sample if isinstance(a, np.ndarray))
+    what = f"{held} samples of {sample.road_height.size} nodes"
+    refuse_beyond_memory(2.5 * held * size, what, "use fewer samples or nodes")
 
 
 def healthy(sample: Sample) -> bool:

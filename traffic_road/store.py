@@ -42,7 +42,7 @@ VARIABLES = {
     "growth_rate_difference": ("growth rate relative to that of the cars, minus 1", None),
     "phase_velocity_difference": ("phase velocity relative to that of the cars, minus 1", None),
 }
-AXES = {"time": "T", "x": "X"}
+AXES = {"x": "X"}  # not time: axis T promises a date, and dimensionless or elapsed time has none
 
 
 def describe(name: str) -> dict:
@@ -173,15 +173,25 @@ def open_dataset(path) -> xr.Dataset:
     try:
         with xr.open_dataset(path, engine="netcdf4", decode_times=False) as stored:
             ds = stored.load()
-    except (OSError, ValueError, RuntimeError, KeyError, TypeError, AttributeError) as error:
+    except Exception as error:  # damaged bytes take the readers beneath by surprise in many ways
         raise StoreError(
             f"{path}: cannot read as netCDF: {_reason(error)}; name a file written by traffic_road"
         ) from None
-    if "schema" not in ds.attrs:
-        raise StoreError(f"{path}: no result of traffic_road: attribute 'schema' is missing; name a file written by it")
-    schema = ds.attrs["schema"]
-    if not isinstance(schema, (int, np.integer)) or schema > SCHEMA:
-        raise StoreError(f"{path}: schema {shown(schema)} is newer than {SCHEMA}, which this version reads; update it")
+    for name in ("schema", "source"):
+        if name not in ds.attrs:
+            raise StoreError(
+                f"{path}: no result of traffic_road: attribute {name!r} is missing; name a file written by it"
+            )
+    schema, source = ds.attrs["schema"], ds.attrs["source"]
+    if not isinstance(schema, (int, np.integer)) or schema < 1:
+        raise StoreError(f"{path}: schema {shown(schema)}: must be a whole number >= 1; name a file of traffic_road")
+    if schema > SCHEMA:
+        raise StoreError(
+            f"{path}: schema {schema}, written by {shown(source)}, is newer than {SCHEMA}, which this version "
+            f"({VERSION}) reads; update traffic_road"
+        )
+    if not isinstance(source, str) or not source.startswith("traffic_road "):
+        raise StoreError(f"{path}: written by {shown(source)}, not by traffic_road; name a file written by it")
     for name, values in list(ds.variables.items()):
         values.encoding.clear()
         if values.dtype.kind == "O":
@@ -193,7 +203,25 @@ def scene_of(ds: xr.Dataset) -> Scene:
     """The scene that a result was computed from. StoreError if it does not carry one."""
     try:
         return Scene.from_dict(json.loads(ds.attrs["scene"]))
-    except (KeyError, TypeError, ValueError, TrafficRoadError) as error:
+    except (KeyError, TypeError, ValueError, RecursionError, TrafficRoadError) as error:
         raise StoreError(
             f"attribute 'scene' of the Dataset is missing or damaged: {shown(error)}; run it again"
+        ) from None
+
+
+def arguments_of(ds: xr.Dataset) -> dict:
+    """The arguments of `simulate` that a result was computed with. StoreError if it does not carry them."""
+    if not isinstance(ds, xr.Dataset):
+        raise StoreError(f"{shown(ds)}: no Dataset; open a file by traffic_road.open")
+    scene = scene_of(ds)
+    try:
+        numerics = json.loads(ds.attrs["numerics"])
+        arguments = {name: ds.attrs[name] for name in ("model", "tolerance", "samples")}
+        if np.ndim(arguments["samples"]) == 0:
+            arguments["samples"] = int(arguments["samples"])
+        return {"scene": scene, **arguments, **numerics}
+    except (KeyError, TypeError, ValueError, RecursionError) as error:
+        raise StoreError(
+            f"attributes of the Dataset that say how it was run are missing or damaged: {shown(error)}; "
+            "give a result of simulate, or its scene"
         ) from None

@@ -19,6 +19,7 @@ import numpy as np
 
 from ..errors import SceneError, StabilityError
 from ..laws import whole
+from ..memory import refuse_beyond_memory
 from ..schemes import oscillator
 from . import Breath, Sample
 from .cars_even import even_samples
@@ -26,6 +27,7 @@ from .cars_mixed import mixed_samples
 from .cars_state import even_start, kinds
 
 MOST_NODES = 10**9  # 8 GB for the road alone
+VALUES_PER_NODE = 16  # held at once at most, measured: road, transforms, the second run of the estimate
 MOST_PASSAGES = 1e16  # a year of computing
 NODES_PER_WAVE = 8  # of the shortest wave of the profile, in the default grid
 PAIR_RATIO = 1.0  # a pair of runs differs by the error of the better one at order 1: the steps that wheels leave
@@ -60,6 +62,7 @@ def numerics(scene, given: dict) -> dict:
             f"nodes = {nodes}: with {passages:.3g} passages in the duration, must be at most {MOST_NODES:.0e} nodes and "
             f"{MOST_PASSAGES:.0e} passages; use a shorter ring or duration, or slower cars"
         )
+    refuse_beyond_memory(VALUES_PER_NODE * nodes, f"nodes = {nodes}", "use fewer nodes or a shorter ring")
     scene.road.profile.sample(length, nodes)  # SceneError where the grid does not resolve it
     _refuse_coarse_grid(scene, nodes, hold)
     return {"nodes": nodes, "hold": hold, "relax_every": relax_every}

@@ -32,6 +32,7 @@ from numpy.fft import rfft  # less overhead a call than scipy.fft on the short t
 
 from ..errors import SceneError
 from ..laws import finite
+from ..memory import refuse_beyond_memory
 from . import Breath, Pace, Sample
 from .continuum_state import Continuum, Kinds, constant, modes
 
@@ -68,6 +69,8 @@ def numerics(scene, given: dict) -> dict:
             f"nodes = {nodes} with {len(kinds.speed)} distinct kinds of car: too large for the continuum; "
             f"use fewer of either, or model='cars'"
         )
+    size = 2 * len(kinds.speed) + 4  # four complex matrices a wave at most
+    refuse_beyond_memory(4 * nodes * size**2, f"nodes = {nodes}", "use fewer nodes or a shorter ring")
     height = scene.road.profile.sample(scene.road.length, nodes)
     wave = np.abs(rfft(height, norm="forward"))
     if nodes % 2 == 0 and wave[-1] > 1e-14 * wave.max():  # a wave of two nodes: where it moves cannot be told

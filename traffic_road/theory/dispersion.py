@@ -99,7 +99,9 @@ def dispersion_leading(k, *, softness, diffusivity, damping, hardening_rate=0.0)
     """
     k, softness, diffusivity, damping, beta = _arguments(k, softness, diffusivity, damping, hardening_rate)
     if np.any((damping == 0) & (np.abs(k) == 1) & (softness > 0)):
-        raise SceneError("damping = 0: undamped cars resonate with k = 1, where sigma is infinite; give them damping > 0")
+        raise SceneError(
+            "damping = 0: undamped cars resonate with k = 1, where sigma is infinite; give them damping > 0"
+        )
     return -beta - diffusivity * k**2 - softness * response(1j * k, damping)
 
 

@@ -11,9 +11,11 @@ from __future__ import annotations
 import numpy as np
 
 from ..errors import SceneError
-from ..laws import Constant
+from ..laws import Constant, finite
 from ..schemes.oscillator import propagator
 from .dispersion import fleet_dispersion
+
+MOST_ROWS = 2000  # of the matrix: half a minute for its eigenvalues
 
 
 def sweep_matrix(k, *, headway, rows, hold, softness, car) -> np.ndarray:
@@ -75,7 +77,9 @@ def floquet_mode(scene, k, **numerics) -> tuple[complex, np.ndarray]:
         raise SceneError("floquet: needs Constant softness and diffusivity; freeze the laws at one height")
     softness, diffusivity = (law.value for law in laws)
     car = [float(values[0]) for values in car]
-    rows, k = nodes // count, float(k)
+    rows, k = nodes // count, finite("k", k)
+    if rows > MOST_ROWS:
+        raise SceneError(f"floquet: {rows} nodes a headway, must be at most {MOST_ROWS}; use fewer nodes")
     span = relax_every * scene.headway / car[0]
     block = {"headway": scene.headway, "rows": rows}
     sweep = np.linalg.matrix_power(sweep_matrix(k, **block, hold=hold, softness=softness, car=car), relax_every)
