@@ -22,12 +22,15 @@ RANK = {
     "store": 4,
     "plan": 5,
     "estimate": 5,
-    "run": 6,
-    "sweep": 7,
+    "stream": 5,
+    "checkpoint": 5,
+    "keeper": 6,
+    "run": 7,
+    "sweep": 8,
     "analysis": 5,
-    "comparison": 7,
-    "plots": 8,
-    "cli": 9,
+    "comparison": 8,
+    "plots": 9,
+    "cli": 10,
     "": 0,  # traffic_road/__init__.py: names only, loaded when asked for
 }
 PACKAGES = {"schemes", "theory", "models"}

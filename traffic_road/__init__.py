@@ -17,6 +17,7 @@ _PUBLIC = {
     "preset": "presets",
     "simulate": "run",
     "rerun": "run",
+    "resume": "run",
     "mode": "analysis",
     "growth_rate": "analysis",
     "phase_velocity": "analysis",

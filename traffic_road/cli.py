@@ -27,8 +27,8 @@ def main(arguments=None) -> int:
     except BrokenPipeError:  # the reader of our output went away, as `head` does
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # or the interpreter complains on its way out
         return FAILED_RUN
-    except KeyboardInterrupt:
-        _complain("interrupted; a file is either whole or not there")
+    except KeyboardInterrupt as stopped:
+        _complain(stopped.args[0] if stopped.args else "interrupted; a file is either whole or not there")
         return FAILED_RUN
     except Exception as error:
         if options.debug:
@@ -77,9 +77,16 @@ def _parser() -> argparse.ArgumentParser:
         "run", help="run a scene, or what a stored result was computed from, and store the result"
     )
     run.add_argument(
-        "scene", metavar="SCENE", help=_SCENE_HELP + ", or a netCDF file of `run`: to run that again as it was run"
+        "scene",
+        nargs="?",
+        metavar="SCENE",
+        help=_SCENE_HELP + ", or a netCDF file of `run`: to run that again as it was run",
     )
-    run.add_argument("-o", "--output", required=True, metavar="FILE", help="netCDF file to write")
+    run.add_argument("-o", "--output", metavar="FILE", help="netCDF file to write")
+    run.add_argument("--checkpoint", metavar="FILE", help="keep what is needed to go on, should the run be stopped")
+    run.add_argument(
+        "--resume", metavar="FILE", help="go on from a checkpoint: no SCENE, and no -o unless it has changed"
+    )
     run.add_argument("--model", choices=("auto", "cars", "continuum"), help="default: auto")
     run.add_argument("--plot", metavar="PICTURE", help="draw the result, too (.png, .pdf, .svg)")
     _add_numerics(run)
@@ -149,7 +156,7 @@ def _refuse_output(options) -> None:
 
 
 def _refuse_scene(path, options) -> None:
-    if os.path.realpath(path) == os.path.realpath(options.scene):
+    if options.scene is not None and os.path.realpath(path) == os.path.realpath(options.scene):
         raise StoreError(f"{path}: would overwrite the scene; name another file")
 
 
@@ -217,21 +224,7 @@ def _table(ds) -> str:
 
 
 def _run(options) -> int:
-    stored = _is_netcdf(options.scene)
-    if stored:
-        from .store import open_dataset
-
-        before = open_dataset(options.scene)
-    else:
-        scene = _scene(options.scene)
-    _refuse_output(options)
-    if options.plot is not None:
-        _refuse_scene(options.plot, options)
-        _refuse_picture(options.plot)
-    from .run import rerun, simulate
-
-    given = _given(options)
-    ds = rerun(before, output=options.output, **given) if stored else simulate(scene, output=options.output, **given)
+    ds = _resumed(options) if options.resume is not None else _begun(options)
     print(
         f"{ds.attrs['model']}: {ds.attrs['status']}, error estimate {ds.attrs['error_estimate']:.1e} "
         f"({ds.attrs['error_method']}), {ds.attrs['updates']} node updates in {ds.attrs['wall_time']:.3g} s"
@@ -243,6 +236,48 @@ def _run(options) -> int:
         save_figure(run_figure(ds), options.plot)
         _say_written(options.plot)
     return _finish(*([ds.attrs["status"]] if ds.attrs["status"] != "ok" else []))
+
+
+def _begun(options):
+    for value, name in ((options.scene, "SCENE"), (options.output, "-o/--output")):
+        if value is None:
+            raise SceneError(f"{name} is missing: name it, or go on from a checkpoint with --resume; see --help")
+    stored = _is_netcdf(options.scene)
+    if stored:
+        from .store import open_dataset
+
+        before = open_dataset(options.scene)
+    else:
+        scene = _scene(options.scene)
+    _refuse_output(options)
+    for path in (options.plot, options.checkpoint):
+        if path is not None:
+            _refuse_scene(path, options)
+    if options.plot is not None:
+        _refuse_picture(options.plot)
+    from .run import rerun, simulate
+
+    arguments = {"output": options.output, "checkpoint": options.checkpoint, **_given(options)}
+    return rerun(before, **arguments) if stored else simulate(scene, **arguments)
+
+
+def _resumed(options):
+    if _given(options) or options.checkpoint is not None:
+        raise SceneError(
+            "--resume: a run goes on as it began and where it did; leave out --checkpoint and all but -o and --plot"
+        )
+    if options.output is None:
+        from .checkpoint import read
+
+        options.output = read(options.resume)[0]["output"]
+    if options.output is None:
+        raise StoreError(f"{options.resume}: the run had no output; name one with -o")
+    _refuse_output(options)
+    if options.plot is not None:
+        _refuse_picture(options.plot)
+    from .run import resume
+
+    return resume(options.resume, scene=_scene(options.scene) if options.scene else None, output=options.output)
 
 
 def _plot(options) -> int:

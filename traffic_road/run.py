@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import time as clock
 import warnings
 
@@ -9,28 +10,39 @@ import numpy as np
 import xarray as xr
 from tqdm import tqdm
 
-from .errors import SceneError, shown
+from .checkpoint import read
+from .errors import SceneError, StoreError, shown
 from .estimate import error_estimate
+from .keeper import Disk, Job, Memory, guarded
 from .laws import finite, whole
 from .memory import refuse_beyond_memory
 from .models import Breath, Sample, model
 from .scene import Scene
-from .store import arguments_of, assemble, refuse_unwritable, save
+from .store import arguments_of, refuse_unwritable
 
 MOST_SAMPLES = 10_000_000
 RUNAWAY = 1e12  # corrugation (g/omega_0^2) beyond which the road has blown up and rounding eats what is left
 REFINEMENTS = 4  # doublings of the default resolution before a tolerance is given up
 
 
-def simulate(scene, model="auto", tolerance=1e-3, samples=101, *, output=None, progress=None, **numerics) -> xr.Dataset:
+def simulate(
+    scene, model="auto", tolerance=1e-3, samples=101, *, output=None, checkpoint=None, checkpoint_every=60.0, progress=None,
+    **numerics,
+) -> xr.Dataset:  # fmt: skip
     """Run `scene` and return its Dataset.
 
     model: "cars", "continuum", or "auto" (the cars, which are what a scene describes). tolerance: relative error of the
     corrugation (L2 over the road, mean removed) at the end; where no resolution is given the default is refined until the
     estimate meets it. samples: number of times, evenly spaced from 0 to the duration, or the times themselves, which then
     say how long the run is. Numerics override the default: nodes, hold, relax_every for "cars", nodes, step for
-    "continuum". output: netCDF file to write. progress: True, False, a function that is given the fraction done (from the
-    start again when the resolution is refined), or None for a bar after two seconds if there is a terminal.
+    "continuum". progress: True, False, a function that is given the fraction done (from the start again when the resolution
+    is refined), or None for a bar after two seconds if there is a terminal.
+
+    output: netCDF file to write. Samples are streamed to it, so that memory stays flat, and whoever opens it meanwhile finds
+    a whole file of the run so far; `status` says so. A result of more than 64 MB is given back as that file, opened, whose
+    variables are read when they are asked for. checkpoint: file from which `resume` goes on, written at the start, every
+    checkpoint_every seconds, and at SIGINT or SIGTERM; the samples so far are beside it in FILE.samples-N, and both are
+    removed when the run has finished.
 
     Dataset: road_height (time, x); car_height, contact_force (time, car) and car_position (time, car) for "cars", else
     (time, x). A run that diverges keeps what it has and says so in `status`. Raises SceneError, StabilityError,
@@ -38,16 +50,52 @@ def simulate(scene, model="auto", tolerance=1e-3, samples=101, *, output=None, p
     """
     if not isinstance(scene, Scene):
         raise SceneError(f"scene = {shown(scene)}: must be a Scene; preset(name) and Scene.from_toml(path) give one")
-    if not (progress in (None, True, False) or callable(progress)):
-        raise SceneError(f"progress = {shown(progress)}: must be True, False, None or a function of the fraction done")
+    _refuse_progress(progress)
     name = "cars" if model == "auto" else model
     finite("tolerance", tolerance, above=0)
+    every = finite("checkpoint_every", checkpoint_every, least=0)
     if output is not None:
         refuse_unwritable(output)
-    ds = _run(scene, name, finite("tolerance", tolerance), samples, numerics, progress)
+    if checkpoint is not None:
+        refuse_unwritable(checkpoint)
+        if output is not None and os.path.realpath(checkpoint) == os.path.realpath(output):
+            raise StoreError(f"{checkpoint}: cannot be both the checkpoint and the output; name another")
+        if os.path.lexists(checkpoint):
+            raise StoreError(
+                f"{checkpoint}: there is a file; go on from it with tr.resume or --resume, or name another"
+            )
+    job = Job(scene, name, finite("tolerance", tolerance), numerics, _times(scene, samples))
+    if output is None and checkpoint is None:
+        return _run(Memory(job), progress)
+    disk = Disk(job, output, checkpoint, every)
+    with guarded(disk):
+        return _run(disk, progress)
+
+
+def resume(checkpoint, *, scene=None, output=None, progress=None) -> xr.Dataset:
+    """Go on with the run that left `checkpoint`, to the Dataset that it would have given: the same bits, but for times taken.
+
+    scene: refuse any other. output: in place of the file that was named at the start. StoreError for a file that is no
+    checkpoint, damaged, of another version or scene, or in use.
+    """
+    _refuse_progress(progress)
+    facts, state = read(checkpoint)
+    job = Job.of(facts, state.pop("times"))
+    if scene is not None and scene != job.scene:
+        raise StoreError(
+            f"{checkpoint}: a checkpoint of another scene; leave the scene out, or name its own checkpoint"
+        )
+    output = facts["output"] if output is None else output
     if output is not None:
-        save(ds, output)
-    return ds
+        refuse_unwritable(output)
+    disk = Disk(job, output, checkpoint, facts["every"], (facts, state or None))
+    with guarded(disk):
+        return _run(disk, progress)
+
+
+def _refuse_progress(progress) -> None:
+    if not (progress in (None, True, False) or callable(progress)):
+        raise SceneError(f"progress = {shown(progress)}: must be True, False, None or a function of the fraction done")
 
 
 def _times(scene, samples) -> np.ndarray:
@@ -77,16 +125,20 @@ def rerun(ds, **changes) -> xr.Dataset:
     return simulate(**(arguments | changes))
 
 
-def _run(scene, name, tolerance, samples, given, progress):
-    module, times = model(name), _times(scene, samples)
-    numerics = module.numerics(scene, given)
-    for attempt in range(REFINEMENTS + 1):
-        begin = clock.perf_counter()
-        taken, status = _collect(scene, module, times, numerics, progress)
+def _run(keeper, progress):
+    scene, name, tolerance, given, times = keeper.job.scene, *keeper.job[1:]
+    module = model(name)
+    numerics = keeper.numerics or module.numerics(scene, given)
+    for attempt in range(keeper.attempt, REFINEMENTS + 1):
+        keeper.begin(attempt, numerics)
+        begin = clock.perf_counter() - keeper.elapsed
+        status = keeper.status or _collect(keeper, module, times, numerics, progress)
+        keeper.stepped(status)
         wall_time = clock.perf_counter() - begin
+        last = keeper.last
         if status == "ok":
             begin = clock.perf_counter()
-            error, method = error_estimate(scene, name, numerics, taken[-1])
+            error, method = error_estimate(scene, name, numerics, last)
             estimate_time = clock.perf_counter() - begin
         else:
             error, method, estimate_time = float("inf"), "none: the run diverged", 0.0
@@ -107,42 +159,41 @@ def _run(scene, name, tolerance, samples, given, progress):
         "error_method": method,
         "wall_time": wall_time,
         "error_wall_time": estimate_time,
-        "updates": taken[-1].updates,
+        "updates": last.updates,
         "status": status,
-        "samples": samples if np.ndim(samples) == 0 else times,
+        "samples": times.size if np.array_equal(times, _times(scene, times.size)) else times,
     }
-    if taken[-1].airborne is not None:
-        outcome["airborne_passages"] = taken[-1].airborne
-    return assemble(scene, name, numerics, taken, outcome)
+    if last.airborne is not None:
+        outcome["airborne_passages"] = last.airborne
+    return keeper.finish(outcome)
 
 
-def _collect(scene, module, times, numerics, progress) -> tuple[list[Sample], str]:
-    """The samples of a run up to its end or to where it blows up, and its status."""
-    times = module.sample_times(scene, times, numerics)
-    taken: list[Sample] = []
-    status = "ok"
+def _collect(keeper, module, times, numerics, progress) -> str:
+    """Give the keeper the samples of a run up to its end or to where it blows up; its status."""
+    scene, times = keeper.job.scene, module.sample_times(keeper.job.scene, times, numerics)
     report = progress if callable(progress) else None
     # progress None: only in a terminal (disable=None), and only for what takes longer than two seconds
     disable = None if progress is None else progress is not True
-    with np.errstate(all="ignore"), tqdm(total=len(times), delay=2, disable=disable, leave=False, unit="sample") as bar:
-        for sample in module.samples(scene, times, numerics):
-            if isinstance(sample, Breath):
+    bar = tqdm(total=len(times), initial=keeper.count, delay=2, disable=disable, leave=False, unit="sample")
+    with np.errstate(all="ignore"), bar:
+        for item in module.samples(scene, times, numerics, keeper.state):
+            if isinstance(item, Breath):
+                keeper.breathe(item)
                 continue
-            if not taken:
-                _refuse_too_many(sample, len(times))
-            if not healthy(sample) and not taken:
+            if not keeper.count and keeper.output is None:
+                _refuse_too_many(item, len(times))
+            if not healthy(item) and not keeper.count:
                 raise SceneError(
-                    f"scene: corrugation {np.ptp(sample.road_height):.3g} at the start, must be finite and < {RUNAWAY:g}; "
+                    f"scene: corrugation {np.ptp(item.road_height):.3g} at the start, must be finite and < {RUNAWAY:g}; "
                     "lower the profile"
                 )
-            if not healthy(sample):
-                status = f"diverged between time {taken[-1].time:.6g} and {sample.time:.6g}"
-                break
-            taken.append(sample)
+            if not healthy(item):
+                return f"diverged between time {keeper.last.time:.6g} and {item.time:.6g}"
+            keeper.append(item)
             bar.update()
             if report is not None:
-                report(len(taken) / len(times))
-    return taken, status
+                report(keeper.count / len(times))
+    return "ok"
 
 
 def _refuse_too_many(sample: Sample, held: int) -> None:

@@ -8,10 +8,12 @@ import shlex
 import stat
 import sys
 import tempfile
+import zlib
 from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
 
+import netCDF4
 import numpy as np
 import xarray as xr
 
@@ -82,22 +84,27 @@ def provenance(scene: Scene, title: str) -> dict:
 
 
 def assemble(scene: Scene, model: str, numerics: dict, samples: list, outcome: dict) -> xr.Dataset:
-    """The Dataset of one run; `samples` as `models` yield them, `outcome` the remaining attributes."""
-    first = samples[0]
-    on = ("time", "x") if first.where is None else ("time", "car")
-    length, nodes = scene.road.length, first.road_height.size
-    variables = {
-        "road_height": variable("road_height", ("time", "x"), np.stack([s.road_height for s in samples])),
-        "car_height": variable("car_height", on, np.stack([s.car_height for s in samples])),
-        "contact_force": variable("contact_force", on, np.stack([s.contact_force for s in samples])),
-    }
+    """`dataset` of samples as `models` yield them."""
+    names = {"time": "time", "road_height": "road_height", "car_height": "car_height", "contact_force": "contact_force"}
+    if samples[0].where is not None:
+        names["car_position"] = "where"
+    columns = {name: np.stack([getattr(s, field) for s in samples]) for name, field in names.items()}
+    return dataset(scene, model, numerics, columns, outcome)
+
+
+def dataset(scene: Scene, model: str, numerics: dict, columns: dict, outcome: dict) -> xr.Dataset:
+    """The Dataset of one run: `columns` are its variables by name, time first in each; `outcome` the remaining attributes."""
+    cars = "car_position" in columns
+    on = ("time", "car" if cars else "x")
+    dims = {"time": "time", "road_height": ("time", "x")}
+    variables = {name: variable(name, dims.get(name, on), values) for name, values in columns.items()}
+    nodes = columns["road_height"].shape[1]
     coordinates = {
-        "time": variable("time", "time", np.array([s.time for s in samples])),
-        "x": variable("x", "x", np.arange(nodes) * (length / nodes)),
+        "time": variables.pop("time"),
+        "x": variable("x", "x", np.arange(nodes) * (scene.road.length / nodes)),
     }
-    if first.where is not None:
-        variables["car_position"] = variable("car_position", on, np.stack([s.where for s in samples]))
-        coordinates["car"] = variable("car", "car", np.arange(first.where.size, dtype=np.int32))
+    if cars:
+        coordinates["car"] = variable("car", "car", np.arange(columns["car_position"].shape[1], dtype=np.int32))
     attributes = provenance(scene, f"Corrugation of a road, {model} model")
     return xr.Dataset(variables, coordinates, attributes | {"model": model, "numerics": json.dumps(numerics)} | outcome)
 
@@ -105,10 +112,11 @@ def assemble(scene: Scene, model: str, numerics: dict, samples: list, outcome: d
 def refuse_unwritable(path) -> None:
     """StoreError now rather than after a long run, if nothing could be written at `path`."""
     try:
-        with tempfile.NamedTemporaryFile(dir=_target(path).parent, prefix=TEMPORARY):
+        target = _target(path)
+        with tempfile.NamedTemporaryFile(dir=target.parent, prefix=_prefix(target)):
             pass
     except (OSError, ValueError, TypeError) as error:
-        raise _unwritable(path, error) from None
+        raise unwritable(path, error) from None
 
 
 def replace_file(path, write) -> None:
@@ -119,7 +127,7 @@ def replace_file(path, write) -> None:
     temporary = None
     try:
         target = _target(path)
-        handle, temporary = tempfile.mkstemp(dir=target.parent, prefix=TEMPORARY, suffix=target.suffix)
+        handle, temporary = tempfile.mkstemp(dir=target.parent, prefix=_prefix(target), suffix=target.suffix)
         os.close(handle)
         write(temporary)
         mask = os.umask(0)
@@ -127,10 +135,22 @@ def replace_file(path, write) -> None:
         os.chmod(temporary, 0o666 & ~mask)  # mkstemp's own mode would hide the file from everybody else
         os.replace(temporary, target)
     except (OSError, RuntimeError, ValueError, TypeError) as error:  # netCDF4 says RuntimeError when the disk is full
-        raise _unwritable(path, error) from error
+        raise unwritable(path, error) from error
     finally:
         if temporary is not None and os.path.exists(temporary):
             os.unlink(temporary)
+
+
+def _prefix(target: Path) -> str:
+    """How the names of unfinished files in the place of `target` begin."""
+    return f"{TEMPORARY}{zlib.crc32(os.fsencode(target.name)):08x}-"
+
+
+def clear_unfinished(path) -> None:
+    """Remove what a process that was killed while it wrote `path` has left."""
+    target = _target(path)
+    for leftover in target.parent.glob(_prefix(target) + "*"):
+        leftover.unlink(missing_ok=True)
 
 
 def _target(path) -> Path:
@@ -147,7 +167,7 @@ def _target(path) -> Path:
     return target
 
 
-def _unwritable(path, error: Exception) -> StoreError:
+def unwritable(path, error: Exception) -> StoreError:
     remedy = "; name a file in a folder that exists and can be written" if getattr(error, "strerror", None) else ""
     return StoreError(f"{path}: cannot write: {_reason(error)}{remedy}")
 
@@ -166,6 +186,31 @@ def save(ds: xr.Dataset, path) -> None:
         elif values.dtype.kind == "f":
             encoding[name] = {"_FillValue": None} if name in ds.coords else {"_FillValue": np.nan}
     replace_file(path, lambda temporary: ds.to_netcdf(temporary, engine="netcdf4", encoding=encoding))
+
+
+def write_blocks(path, template: xr.Dataset, count: int, blocks) -> None:
+    """What `save` writes, of `count` times: `template` holds the first, blocks() gives (first, records) of some at a time.
+
+    Records are those of a structured array, by the names of the variables. StoreError if it cannot be written.
+    """
+
+    def write(temporary):
+        with netCDF4.Dataset(temporary, "w") as file:
+            for name, size in template.sizes.items():
+                file.createDimension(name, count if name == "time" else size)
+            for name, values in template.variables.items():
+                fill = np.nan if values.dtype.kind == "f" and name not in template.coords else False
+                out = file.createVariable(name, values.dtype, values.dims, fill_value=fill)
+                out.setncatts(values.attrs)
+                if "time" not in values.dims:
+                    out[:] = values.values
+            file.setncatts(template.attrs)
+            for first, records in blocks():
+                for name in records.dtype.names:
+                    if name in template.variables:
+                        file[name][first : first + records.size] = records[name]
+
+    replace_file(path, write)
 
 
 def open_dataset(path) -> xr.Dataset:
