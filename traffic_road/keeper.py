@@ -166,14 +166,14 @@ class Disk:
 
     def _checkpoint(self, state, time):
         begin = perf_counter()
-        with _writing(self.journal.name, self._remedy()):
-            self.journal.flush()
         journal = {"sizes": self.journal.sizes, "count": self.count, "crc": self.journal.crc}
         facts = {
             **self.job.facts(), "numerics": self.numerics, "attempt": self.attempt, "output": self.output,
             "every": self.every, "status": self.status, "elapsed": begin - self.began, "time": time, "journal": journal,
         }  # fmt: skip
-        checkpoint.write(self.path, facts, {**(state or {}), "times": self.job.times})
+        with _writing(self.journal.name, self._remedy()):
+            self.journal.flush()
+            checkpoint.write(self.path, facts, {**(state or {}), "times": self.job.times})
         self.kept, self.wrote = time, perf_counter()
         self.cost["checkpoint"] = self.wrote - begin
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import shlex
@@ -24,6 +25,7 @@ from .scene import Scene
 SCHEMA = 1
 VERSION = version("traffic_road")  # looked up once: it searches the installed packages
 TEMPORARY = ".traffic_road-"  # how names of unfinished files begin
+FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
 FORCE = "static load of the reference car"
 
 # name: (long_name, scale of the dimensionless value)
@@ -168,7 +170,11 @@ def _target(path) -> Path:
 
 
 def unwritable(path, error: Exception) -> StoreError:
-    remedy = "; name a file in a folder that exists and can be written" if getattr(error, "strerror", None) else ""
+    remedy = ""
+    if getattr(error, "errno", None) in FULL:
+        remedy = "; make room"
+    elif getattr(error, "strerror", None):
+        remedy = "; name a file in a folder that exists and can be written"
     return StoreError(f"{path}: cannot write: {_reason(error)}{remedy}")
 
 

@@ -63,18 +63,25 @@ class Journal:
         except FileNotFoundError:
             raise StoreError(f"{path}: missing, it holds the samples of the checkpoint; start the run again") from None
         journal = cls(file, path, sizes)
-        end = len(MAGIC) + count * (journal.kind.itemsize if sizes else 0)
-        if file.read(len(MAGIC)) != MAGIC or os.fstat(file.fileno()).st_size < end:
-            raise StoreError(f"{path}: truncated, or no samples of a run; start the run again")
-        journal.count = count
-        for _, records in journal.blocks():
-            journal.crc = zlib.crc32(records.view(np.uint8), journal.crc)
-            journal.last = _sample(records[-1])
-        if journal.crc != crc:
-            raise StoreError(f"{path}: damaged, these are not the samples of the checkpoint; start the run again")
-        file.seek(end)
-        file.truncate()
+        try:
+            journal._check(count, crc)
+        except BaseException:
+            file.close()
+            raise
         return journal
+
+    def _check(self, count, crc):
+        end = len(MAGIC) + count * (self.kind.itemsize if self.sizes else 0)
+        if self.file.read(len(MAGIC)) != MAGIC or os.fstat(self.file.fileno()).st_size < end:
+            raise StoreError(f"{self.name}: truncated, or no samples of a run; start the run again")
+        self.count = count
+        for _, records in self.blocks():
+            self.crc = zlib.crc32(records.view(np.uint8), self.crc)
+            self.last = _sample(records[-1])
+        if self.crc != crc:
+            raise StoreError(f"{self.name}: damaged, these are not the samples of the checkpoint; start the run again")
+        self.file.seek(end)
+        self.file.truncate()
 
     def _shape(self):
         fields = [("time", "<f8"), ("updates", "<i8"), ("airborne", "<i8")]
