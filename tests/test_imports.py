@@ -22,6 +22,7 @@ RANK = {
     "store": 4,
     "plan": 5,
     "estimate": 5,
+    "health": 5,
     "stream": 5,
     "checkpoint": 5,
     "keeper": 6,

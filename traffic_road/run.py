@@ -11,8 +11,9 @@ import xarray as xr
 from tqdm import tqdm
 
 from .checkpoint import read
-from .errors import SceneError, StoreError, shown
+from .errors import SceneError, StabilityError, StoreError, shown
 from .estimate import error_estimate
+from .health import RUNAWAY, Watch, corrugation, foreseen
 from .keeper import Disk, Job, Memory, guarded
 from .laws import finite, whole
 from .memory import refuse_beyond_memory
@@ -21,13 +22,12 @@ from .scene import Scene
 from .store import arguments_of, refuse_unwritable
 
 MOST_SAMPLES = 10_000_000
-RUNAWAY = 1e12  # corrugation (g/omega_0^2) beyond which the road has blown up and rounding eats what is left
 REFINEMENTS = 4  # doublings of the default resolution before a tolerance is given up
 
 
 def simulate(
     scene, model="auto", tolerance=1e-3, samples=101, *, output=None, checkpoint=None, checkpoint_every=60.0, progress=None,
-    **numerics,
+    allow_unstable=False, **numerics,
 ) -> xr.Dataset:  # fmt: skip
     """Run `scene` and return its Dataset.
 
@@ -36,7 +36,8 @@ def simulate(
     estimate meets it. samples: number of times, evenly spaced from 0 to the duration, or the times themselves, which then
     say how long the run is. Numerics override the default: nodes, hold, relax_every for "cars", nodes, step for
     "continuum". progress: True, False, a function that is given the fraction done (from the start again when the resolution
-    is refined), or None for a bar after two seconds if there is a terminal.
+    is refined), or None for a bar after two seconds if there is a terminal. allow_unstable: run outside a stability limit,
+    too, with a warning and without an error estimate, for study.
 
     output: netCDF file to write. Samples are streamed to it, so that memory stays flat, and whoever opens it meanwhile finds
     a whole file of the run so far; `status` says so. A result of more than 64 MB is given back as that file, opened, whose
@@ -45,8 +46,8 @@ def simulate(
     removed when the run has finished.
 
     Dataset: road_height (time, x); car_height, contact_force (time, car) and car_position (time, car) for "cars", else
-    (time, x). A run that diverges keeps what it has and says so in `status`. Raises SceneError, StabilityError,
-    StoreError.
+    (time, x). A run that diverges keeps what it has and says so, and why, in `status`; one that will pass lift-off where
+    nothing saturates it is warned of. Raises SceneError, StabilityError, StoreError.
     """
     if not isinstance(scene, Scene):
         raise SceneError(f"scene = {shown(scene)}: must be a Scene; preset(name) and Scene.from_toml(path) give one")
@@ -66,10 +67,10 @@ def simulate(
             )
     job = Job(scene, name, finite("tolerance", tolerance), numerics, _times(scene, samples))
     if output is None and checkpoint is None:
-        return _run(Memory(job), progress)
+        return _run(Memory(job), progress, allow_unstable)
     disk = Disk(job, output, checkpoint, every)
     with guarded(disk):
-        return _run(disk, progress)
+        return _run(disk, progress, allow_unstable)
 
 
 def resume(checkpoint, *, scene=None, output=None, progress=None) -> xr.Dataset:
@@ -90,7 +91,7 @@ def resume(checkpoint, *, scene=None, output=None, progress=None) -> xr.Dataset:
         refuse_unwritable(output)
     disk = Disk(job, output, checkpoint, facts["every"], (facts, state or None))
     with guarded(disk):
-        return _run(disk, progress)
+        return _run(disk, progress, allow_unstable=True)  # if it is outside a limit, it was allowed to be when it began
 
 
 def _refuse_progress(progress) -> None:
@@ -125,25 +126,36 @@ def rerun(ds, **changes) -> xr.Dataset:
     return simulate(**(arguments | changes))
 
 
-def _run(keeper, progress):
+def _run(keeper, progress, allow_unstable):
     scene, name, tolerance, given, times = keeper.job.scene, *keeper.job[1:]
     module = model(name)
-    numerics = keeper.numerics or module.numerics(scene, given)
+    outside = None
+    try:
+        numerics = module.numerics(scene, given)
+    except StabilityError as refusal:
+        if not allow_unstable:
+            raise
+        outside, numerics = str(refusal), module.unstable_numerics(scene, given)
+    numerics = keeper.numerics or numerics
+    for text in filter(None, (outside and f"{outside}; allow_unstable: run all the same", foreseen(scene))):
+        warnings.warn(text, stacklevel=3)
     for attempt in range(keeper.attempt, REFINEMENTS + 1):
         keeper.begin(attempt, numerics)
         begin = clock.perf_counter() - keeper.elapsed
-        status = keeper.status or _collect(keeper, module, times, numerics, progress)
+        status = keeper.status or _collect(keeper, module, times, numerics, progress, outside)
         keeper.stepped(status)
         wall_time = clock.perf_counter() - begin
         last = keeper.last
-        if status == "ok":
+        if outside:
+            error, method, estimate_time = float("inf"), "none: outside a stability limit", 0.0
+        elif status == "ok":
             begin = clock.perf_counter()
             error, method = error_estimate(scene, name, numerics, last)
             estimate_time = clock.perf_counter() - begin
         else:
             error, method, estimate_time = float("inf"), "none: the run diverged", 0.0
         finer = module.finer(scene, numerics, given)
-        if not error > tolerance or status != "ok" or finer == numerics:
+        if not error > tolerance or outside or status != "ok" or finer == numerics:
             break
         if attempt == REFINEMENTS:
             warnings.warn(
@@ -168,9 +180,10 @@ def _run(keeper, progress):
     return keeper.finish(outcome)
 
 
-def _collect(keeper, module, times, numerics, progress) -> str:
+def _collect(keeper, module, times, numerics, progress, outside) -> str:
     """Give the keeper the samples of a run up to its end or to where it blows up; its status."""
     scene, times = keeper.job.scene, module.sample_times(keeper.job.scene, times, numerics)
+    watch = Watch(scene, outside)
     report = progress if callable(progress) else None
     # progress None: only in a terminal (disable=None), and only for what takes longer than two seconds
     disable = None if progress is None else progress is not True
@@ -182,13 +195,14 @@ def _collect(keeper, module, times, numerics, progress) -> str:
                 continue
             if not keeper.count and keeper.output is None:
                 _refuse_too_many(item, len(times))
-            if not healthy(item) and not keeper.count:
+            road_height = item.road_height if unbroken(item) else np.full(1, np.nan)
+            if not keeper.count and not corrugation(road_height) < RUNAWAY:
                 raise SceneError(
                     f"scene: corrugation {np.ptp(item.road_height):.3g} at the start, must be finite and < {RUNAWAY:g}; "
                     "lower the profile"
                 )
-            if not healthy(item):
-                return f"diverged between time {keeper.last.time:.6g} and {item.time:.6g}"
+            if trouble := watch.trouble(road_height):
+                return f"diverged between time {keeper.last.time:.6g} and {item.time:.6g}: {trouble}"
             keeper.append(item)
             bar.update()
             if report is not None:
@@ -203,7 +217,6 @@ def _refuse_too_many(sample: Sample, held: int) -> None:
     refuse_beyond_memory(2.5 * held * size, what, "use fewer samples or nodes")
 
 
-def healthy(sample: Sample) -> bool:
-    """False where a number has been lost or the corrugation has run away."""
-    whole = all(np.all(np.isfinite(a)) for a in (sample.road_height, sample.car_height, sample.contact_force))
-    return whole and float(np.ptp(sample.road_height)) < RUNAWAY
+def unbroken(sample: Sample) -> bool:
+    """False where a number has been lost."""
+    return all(np.all(np.isfinite(a)) for a in (sample.road_height, sample.car_height, sample.contact_force))

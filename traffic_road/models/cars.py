@@ -39,6 +39,13 @@ def numerics(scene, given: dict) -> dict:
 
     SceneError names a value that cannot be used, StabilityError a grid too coarse for the fleet.
     """
+    chosen = unstable_numerics(scene, given)
+    _refuse_coarse_grid(scene, chosen["nodes"], chosen["hold"])
+    return chosen
+
+
+def unstable_numerics(scene, given: dict) -> dict:
+    """`numerics` on any grid on which a passage still has one solution, however its short waves grow: for study."""
     unknown = sorted(set(given) - {"nodes", "hold", "relax_every"})
     if unknown:
         raise SceneError(f"{unknown[0]}: not a parameter of the cars model; it takes nodes, hold, relax_every")
@@ -64,7 +71,7 @@ def numerics(scene, given: dict) -> dict:
         )
     refuse_beyond_memory(VALUES_PER_NODE * nodes, f"nodes = {nodes}", "use fewer nodes or a shorter ring")
     scene.road.profile.sample(length, nodes)  # SceneError where the grid does not resolve it
-    _refuse_coarse_grid(scene, nodes, hold)
+    _refuse_insoluble(scene, nodes, hold)
     return {"nodes": nodes, "hold": hold, "relax_every": relax_every}
 
 
@@ -84,6 +91,21 @@ def coarser(scene, chosen: dict) -> dict | None:
 def finer(scene, chosen: dict, given: dict) -> dict:
     """Twice the nodes, unless they were given."""
     return chosen if "nodes" in given else {**chosen, "nodes": 2 * chosen["nodes"]}
+
+
+def _refuse_insoluble(scene, nodes: int, hold: int) -> None:
+    """StabilityError where the newest contact height weighs so much that a passage has no solution, or several."""
+    distinct, _ = kinds(scene.fleet)
+    speed, frequency, damping, mass = distinct.T
+    _, B = oscillator.propagator(scene.road.length / nodes / speed, frequency, damping, hold)
+    height = scene.road.profile.sample(scene.road.length, nodes).max()
+    push = 0.5 * mass * scene.headway / speed * float(scene.road.softness(height))
+    excess = np.max(push * frequency**2 * (B[:, 0, 0] - 1))
+    if not excess < 1:
+        raise StabilityError(
+            f"nodes = {nodes}: a passage of softness {2 * np.max(push):.3g} on so coarse a grid has no single solution: "
+            f"(b - 1) delta m omega^2/2 = {excess:.3g}, b the weight of the newest contact height, must be < 1; use more nodes"
+        )
 
 
 def _refuse_coarse_grid(scene, nodes: int, hold: int) -> None:
