@@ -1,0 +1,127 @@
+"""The pictures of work_precision: error against time, a row a scene, a column a question."""
+
+import numpy as np
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+
+from traffic_road.plots import BLACK, BLUE, GREEN, ORANGE, PURPLE, RED, SKY
+
+TITLES = {
+    "cars": "How a car steps",
+    "relaxation": "How the road relaxes",
+    "continuum": "The continuum of many cars",
+    "model": "Model for 8 cars a wavelength",
+}
+SCENES = {
+    "smooth": "smooth, linear",
+    "hardening": "hardening road",
+    "bouncing": "bouncing cars",
+    "resonance": "near-critical resonance",
+}
+GREY = "0.8"
+STYLES = {
+    "cars": {
+        "forward Euler": (RED, "v"),
+        "semi-implicit Euler": (ORANGE, "v"),
+        "semi-implicit Euler, implicit damping": (ORANGE, "^"),
+        "Heun": (PURPLE, "s"),
+        "RK4": (PURPLE, "D"),
+        "trapezoid": (BLACK, "s"),
+        "exact, linear hold": (SKY, "o"),
+        "exact, cubic hold": (BLUE, "o"),
+        "exact, quintic hold": (GREEN, "o"),
+    },
+    "relaxation": {
+        "explicit": (RED, "v"),
+        "Crank-Nicolson": (PURPLE, "s"),
+        "backward Euler": (ORANGE, "^"),
+        "exact": (BLUE, "o"),
+    },
+    "continuum": {
+        "RK45": (ORANGE, "v"),
+        "DOP853": (RED, "^"),
+        "LSODA": (PURPLE, "s"),
+        "BDF": (SKY, "D"),
+        "Radau": (BLACK, "P"),
+        "cars, force from before": (BLACK, "$b$"),
+        "cars, midpoint": (GREEN, "$m$"),
+        "this package": (BLUE, "o"),
+    },
+    "model": {
+        "linear": (ORANGE, "^"),
+        "continuum": (BLACK, "s"),
+        "cars, hold 1": (SKY, "o"),
+        "cars, hold 3": (BLUE, "o"),
+        "cars, hold 5": (GREEN, "o"),
+    },
+}
+LOWEST = 1e-10
+EDGE = 3.0  # where failed runs stand
+
+
+def draw(ds) -> Figure:
+    figure = Figure(figsize=(13, 13.5), layout="constrained")
+    grid = figure.subplots(5, 4, height_ratios=(1, 1, 1, 1, 0.62))
+    for i, name in enumerate(SCENES):
+        for axes, question in zip(grid[i], TITLES, strict=True):
+            panel(axes, ds, name, question, "error")
+            if i == 0:
+                axes.set_title(TITLES[question])
+        grid[i, 0].set_ylabel(f"{SCENES[name]}\nerror of the road")
+    what = ("time of the passages (s)", "passages and relaxation (s)", "time (s)", "time (s)")
+    for axes, text in zip(grid[3], what, strict=True):
+        axes.set_xlabel(text)
+    for axes, question in zip(grid[4], TITLES, strict=True):
+        legend(axes, question)
+    figure.suptitle("Error against time of one core; crosses failed, the grey line is the front")
+    return figure
+
+
+def draw_growth(ds) -> Figure:
+    """Growth rate and velocity of the linear scenes, by stepper and by relaxation."""
+    figure = Figure(figsize=(9, 9), layout="constrained")
+    grid = figure.subplots(3, 2, height_ratios=(1, 1, 0.55))
+    for i, name in enumerate(("smooth", "resonance")):
+        for axes, question in zip(grid[i], ("cars", "relaxation"), strict=True):
+            panel(axes, ds, name, question, "growth_error")
+            axes.set_title(f"{TITLES[question]}: {SCENES[name]}")
+            axes.set_xlabel("time (s)")
+        grid[i, 0].set_ylabel("error of the growth rate")
+    for axes, question in zip(grid[2], ("cars", "relaxation"), strict=True):
+        legend(axes, question)
+    figure.suptitle("Growth rate: what the steps that wheels leave hide in the road")
+    return figure
+
+
+def panel(axes, ds, name, question, what):
+    mine = ds.isel(run=np.flatnonzero((ds.scene == name) & (ds.question == question)))
+    seconds, error, sound = mine.seconds.values, mine[what].values, mine.reason.values == ""
+    lowest = max(LOWEST, 0.3 * np.nanmin(np.where(sound & (error > 0), error, np.nan)))
+    error = np.maximum(error, lowest)
+    line(axes, seconds[sound], error[sound], color=GREY, lw=7, zorder=0, solid_capstyle="round")
+    for method, (colour, marker) in STYLES[question].items():
+        is_it = mine.method.values == method
+        good, bad = is_it & sound, is_it & ~sound & np.isfinite(seconds)
+        axes.plot(seconds[good], error[good], ls="", marker=marker, color=colour, ms=4, mfc="none", mew=0.9, alpha=0.7)
+        line(axes, seconds[good], error[good], color=colour, lw=0.9)
+        axes.plot(seconds[bad], np.full(bad.sum(), EDGE), "x", color=colour, ms=5)
+    axes.set(xscale="log", yscale="log", ylim=(lowest / 2, 8.0))
+    axes.axhline(1.0, color=BLACK, lw=0.5, ls=":")
+    axes.grid(lw=0.3)
+
+
+def line(axes, seconds, error, **style):
+    """Through the runs that nothing beside them beats in both."""
+    order = np.lexsort((error, seconds))
+    seconds, error = seconds[order], error[order]
+    on = np.diff(np.minimum.accumulate(error), prepend=np.inf) < 0
+    axes.plot(seconds[on], error[on], "-", **style)
+
+
+def legend(axes, question):
+    axes.axis("off")
+    marks = [
+        Line2D([], [], color=colour, marker=marker, mfc="none", lw=0.9, label=method)
+        for method, (colour, marker) in STYLES[question].items()
+    ]
+    axes.legend(handles=marks, loc="upper center", frameon=False, fontsize="small")
