@@ -91,10 +91,11 @@ def cost_of_passage(hold: int, law: tuple, from_before: bool, repeats: int = REP
 def cost_of_relaxation(name: str, nodes: int, repeats: int = REPEATS) -> float:
     """Seconds of one step on a ring of `nodes`."""
     height = np.random.default_rng(0).standard_normal(nodes)
+    factors, factor = implicit_factors(nodes, 1.0), np.full(nodes // 2 + 1, 0.5)
     pieces = {
         "explicit": [lambda: relax_explicit(height, 0.1)],
-        "backward Euler": [lambda f=implicit_factors(nodes, 1.0): solve_implicit(height, 1.0, *f)],
-        "exact": [lambda f=np.full(nodes // 2 + 1, 0.5): fft.irfft(fft.rfft(height) * f, n=nodes)],
+        "backward Euler": [lambda: solve_implicit(height, 1.0, *factors)],
+        "exact": [lambda: fft.irfft(fft.rfft(height) * factor, n=nodes)],
     }
     pieces["Crank-Nicolson"] = pieces["explicit"] + pieces["backward Euler"]
     many = max(1, 20_000 // nodes)

@@ -220,7 +220,7 @@ def by_solve_ivp(case, method, nodes, rtol, limit=LIMIT):
     if nodes % 2 == 0:
         weights[1:, -1] = 0.0
     of_nodes = np.fft.irfft(np.fft.rfft(np.eye(nodes)) * weights[:, None], nodes).copy()
-    kind, value, shape = law.kernel
+    _, value, shape = law.kernel
     calls, end = 0, np.inf
 
     def rhs(t, state):

@@ -3,10 +3,11 @@
 import numpy as np
 import pytest
 
-from traffic_road.schemes.oscillator import HOLDS, propagator
+from traffic_road.schemes.oscillator import HOLDS, propagator, settled
 from traffic_road.schemes.passage import PASSAGES
 from traffic_road.schemes.relaxation import RELAXATIONS, symbol
 from traffic_road.schemes.ring import Ring
+from traffic_road.schemes.ring_kernel import cross_headway, implicit_factors, relax_explicit, solve_implicit
 from traffic_road.schemes.steppers import STEPPERS, rk4
 from traffic_road.theory import dispersion
 from traffic_road.theory.floquet import sweep_matrix
@@ -46,6 +47,74 @@ def test_rk4_on_a_linear_hold_is_of_order_two():
     n = np.array([100, 141, 200, 283])
     found = order(1 / n, [over_a_sinusoid(lambda *args: rk4(*args, hold=1), m) for m in n])
     assert abs(found - 2) < WIDTH
+
+
+# on a road that bouncing cars leave, kinks take the higher orders down to about 2, unevenly: reported, and pinned loosely
+BOUNCING = {"RK4": (1.3, 2.3), "exact, cubic hold": (1.3, 2.3), "exact, quintic hold": (1.3, 2.3)}
+
+
+def bouncing_wave(step, rows, cars=8, amplitude=1.5, softness=0.006, diffusivity=0.01, waves=16):
+    """The first harmonic of a road after `waves` wavelengths of time, on which cars take off at every wave."""
+    length, nodes = 2 * np.pi / K, cars * rows
+    headway = length / cars
+    A, B = (c[0] for c in step(headway / rows, 1.0, DAMPING))
+    height = amplitude * np.cos(K * np.arange(nodes) * length / nodes)
+    Z, P = (y[::rows].copy() for y in settled(height, length, 1.0, 1.0, DAMPING, softness))
+    hold = B.shape[1] - 1
+    held = np.zeros((rows + hold, cars))
+    held[:hold] = height[(np.arange(cars) * rows - np.arange(hold)[::-1, None]) % nodes]
+    half = symbol(diffusivity * headway / 2, length, nodes)
+    for _ in range(waves * cars):
+        height = np.fft.irfft(half * np.fft.rfft(height), n=nodes)
+        road = np.ascontiguousarray(np.roll(height, -1).reshape(cars, rows).T)
+        cross_headway(road, Z, P, held, A, B, headway / 2, (0, softness, 0.0), False, True)
+        height = np.fft.irfft(half * np.fft.rfft(np.roll(road.T.ravel(), 1)), n=nodes)
+    return np.fft.rfft(height, norm="forward")[1]
+
+
+@pytest.mark.parametrize("name", STEPPERS)
+def test_order_of_a_stepper_under_bouncing_cars(name):
+    scheme, reference = STEPPERS[name], bouncing_wave(STEPPERS["exact, quintic hold"].step, 1024)
+    rows = np.array([8, 11, 16, 23, 32, 45, 64]) * (8 if scheme.order == 1 else 1)
+    found = order(1 / rows, [abs(bouncing_wave(scheme.step, n) / reference - 1) for n in rows])
+    print(f"{name}: {found:.2f} under bouncing cars, {scheme.order} on a smooth road")
+    low, high = BOUNCING.get(name, (scheme.order - WIDTH, scheme.order + WIDTH))
+    assert low < found < high
+
+
+@pytest.mark.parametrize("hold", HOLDS)
+@pytest.mark.parametrize("passage", PASSAGES)
+@pytest.mark.parametrize("lift_off", [False, True])
+def test_compiled_ring_is_the_plain_one(hold, passage, lift_off):
+    cars, rows, rng = 5, 7, np.random.default_rng(0)
+    A, B = (c[0] for c in propagator(0.1, 1.0, DAMPING, hold))
+    road, state = rng.standard_normal((cars, rows)), rng.standard_normal((2 + hold, cars))
+    plain = Ring(cars, rows, A, B, 0.3 * 0.7, PASSAGES[passage].step)
+    # a law exp(0 H), too: it goes through Newton's method
+    for law in ((0, 0.3, 0.0), (1, 0.3, 0.0)):
+        table, Z, P, held = road.T.copy(), state[0].copy(), state[1].copy(), np.zeros((rows + hold, cars))
+        held[:hold] = state[2:][::-1]
+        height, cars_state = road, state
+        for _ in range(9):
+            height, cars_state = plain.headway(height, cars_state, lift_off=lift_off)
+            cross_headway(table, Z, P, held, A, B, 0.35, law, passage != "midpoint", lift_off)
+        for found, expected in (
+            (table.T, height),
+            (Z, cars_state[0]),
+            (P, cars_state[1]),
+            (held[hold - 1], cars_state[2]),
+        ):
+            np.testing.assert_allclose(found, expected, rtol=0, atol=1e-13)
+
+
+def test_compiled_relaxations_are_their_factors():
+    height = np.random.default_rng(3).standard_normal(33)
+    explicit, implicit = height.copy(), height.copy()
+    relax_explicit(explicit, 0.7)
+    solve_implicit(implicit, 0.7, *implicit_factors(33, 0.7))
+    for name, found in (("explicit", explicit), ("backward Euler", implicit)):
+        factor = RELAXATIONS[name].step(0.7, 33.0, 33)
+        np.testing.assert_allclose(found, np.fft.irfft(factor * np.fft.rfft(height), n=33), rtol=0, atol=1e-14)
 
 
 @pytest.mark.parametrize("name", [name for name, scheme in RELAXATIONS.items() if scheme.order])
