@@ -1,7 +1,8 @@
 """One wavelength of even cars on their road with every piece exchangeable, and what each piece costs: for work_precision.
 
 What a run costs is counted, not timed: passages times the measured cost of one, plus relaxations times the measured cost
-of one on its grid. Both are the best of several CPU times of compiled loops (the exact relaxation: scipy's transforms).
+of one on its grid, as on a long road. Both are the best of several CPU times of compiled loops (the exact relaxation:
+scipy's transforms).
 """
 
 from functools import cache
@@ -16,6 +17,7 @@ from traffic_road.schemes.ring_kernel import cross_headway, implicit_factors, re
 
 POINTS = 32  # places a wavelength that every grid has, where roads are compared
 REPEATS = 7
+LONG = 16_384  # nodes of the road on which relaxations are timed
 
 
 def best(call, repeats: int = REPEATS):
@@ -89,7 +91,13 @@ def cost_of_passage(hold: int, law: tuple, from_before: bool, repeats: int = REP
 
 @cache
 def cost_of_relaxation(name: str, nodes: int, repeats: int = REPEATS) -> float:
-    """Seconds of one step on a ring of `nodes`."""
+    """Seconds of one step on `nodes` of a long road: LONG nodes or a little more, so that no call's overhead counts."""
+    copies = -(-LONG // nodes)
+    seconds = _relaxation_on(name, copies * nodes, repeats)
+    return seconds / copies
+
+
+def _relaxation_on(name, nodes, repeats):
     height = np.random.default_rng(0).standard_normal(nodes)
     factors, factor = implicit_factors(nodes, 1.0), np.full(nodes // 2 + 1, 0.5)
     pieces = {
@@ -98,8 +106,7 @@ def cost_of_relaxation(name: str, nodes: int, repeats: int = REPEATS) -> float:
         "exact": [lambda: fft.irfft(fft.rfft(height) * factor, n=nodes)],
     }
     pieces["Crank-Nicolson"] = pieces["explicit"] + pieces["backward Euler"]
-    many = max(1, 20_000 // nodes)
-    return best(lambda: [piece() for _ in range(many) for piece in pieces[name]], repeats)[0] / many
+    return best(lambda: [piece() for piece in pieces[name]], repeats)[0]
 
 
 def at_points(height: np.ndarray, points: int = POINTS) -> np.ndarray:

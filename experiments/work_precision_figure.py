@@ -43,7 +43,7 @@ STYLES = {
         "LSODA": (PURPLE, "s"),
         "BDF": (SKY, "D"),
         "Radau": (BLACK, "P"),
-        "cars, force from before": (BLACK, "$b$"),
+        "cars, force from before": ("0.45", "$b$"),
         "cars, midpoint": (GREEN, "$m$"),
         "this package": (BLUE, "o"),
     },
@@ -78,18 +78,22 @@ def draw(ds) -> Figure:
 
 
 def draw_growth(ds) -> Figure:
-    """Growth rate and velocity of the linear scenes, by stepper and by relaxation."""
-    figure = Figure(figsize=(9, 9), layout="constrained")
-    grid = figure.subplots(3, 2, height_ratios=(1, 1, 0.55))
-    for i, name in enumerate(("smooth", "resonance")):
-        for axes, question in zip(grid[i], ("cars", "relaxation"), strict=True):
-            panel(axes, ds, name, question, "growth_error")
-            axes.set_title(f"{TITLES[question]}: {SCENES[name]}")
-            axes.set_xlabel("time (s)")
-        grid[i, 0].set_ylabel("error of the growth rate")
-    for axes, question in zip(grid[2], ("cars", "relaxation"), strict=True):
+    """The long wave alone, by stepper and by relaxation: growth rate of the linear scenes, first harmonic of bouncing."""
+    figure = Figure(figsize=(9, 11.5), layout="constrained")
+    grid = figure.subplots(4, 2, height_ratios=(1, 1, 1, 0.62))
+    shown = {"smooth": "growth_error", "resonance": "growth_error", "bouncing": "wave_error"}
+    for row, (name, what) in zip(grid[:3], shown.items(), strict=True):
+        for axes, question in zip(row, ("cars", "relaxation"), strict=True):
+            panel(axes, ds, name, question, what)
+            if name == "smooth":
+                axes.set_title(TITLES[question])
+        text = "error of the growth rate" if what == "growth_error" else "error of the first harmonic"
+        row[0].set_ylabel(f"{SCENES[name]}\n{text}")
+    for axes, question in zip(grid[3], ("cars", "relaxation"), strict=True):
         legend(axes, question)
-    figure.suptitle("Growth rate: what the steps that wheels leave hide in the road")
+    grid[2, 0].set_xlabel("time of the passages (s)")
+    grid[2, 1].set_xlabel("passages and relaxation (s)")
+    figure.suptitle("The long wave alone: high orders pay here, less so under bouncing cars")
     return figure
 
 
@@ -105,6 +109,8 @@ def panel(axes, ds, name, question, what):
         axes.plot(seconds[good], error[good], ls="", marker=marker, color=colour, ms=4, mfc="none", mew=0.9, alpha=0.7)
         line(axes, seconds[good], error[good], color=colour, lw=0.9)
         axes.plot(seconds[bad], np.full(bad.sum(), EDGE), "x", color=colour, ms=5)
+        if np.any(is_it & ~sound & ~np.isfinite(seconds)):  # refused: it took no time
+            axes.plot(0.02, EDGE, "x", color=colour, ms=5, transform=axes.get_yaxis_transform())
     axes.set(xscale="log", yscale="log", ylim=(lowest / 2, 8.0))
     axes.axhline(1.0, color=BLACK, lw=0.5, ls=":")
     axes.grid(lw=0.3)
