@@ -37,7 +37,9 @@ class Watch:
         self.scene, self.outside = scene, outside
         road = scene.road
         deflection = 1 / np.min(scene.fleet.per_car("frequency")) ** 2
-        self.start = deflection + corrugation(road.profile.sample(road.length, 4 * road.profile.highest_wave(road.length) + 4))
+        self.start = deflection + corrugation(
+            road.profile.sample(road.length, 4 * road.profile.highest_wave(road.length) + 4)
+        )
         self.most = RUNAWAY if outside else min(ALARM * self.start, RUNAWAY)
         self.growth: Growth | None = None
 
