@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import traffic_road as tr
+from traffic_road import models
 from traffic_road.health import ALARM, RUNAWAY, Watch, foreseen, lift_off_height, unheld_growth
 from traffic_road.schemes.oscillator import propagator
 from traffic_road.schemes.ring import Ring
@@ -184,3 +185,14 @@ def test_a_run_outside_a_limit_goes_on_from_its_checkpoint(tmp_path):
         )
     resumed = tr.resume(tmp_path / "run")
     assert np.array_equal(resumed.road_height, expected.road_height) and resumed.error_estimate == np.inf
+
+
+@pytest.mark.parametrize("model", ["cars", "continuum"])
+def test_a_run_that_diverges_between_two_samples_is_stopped_there(model, monkeypatch):
+    # lift_off=False: nothing holds the wave, which passes RUNAWAY at about time 3000 of a run of a million
+    monkeypatch.setattr(models, "PACE", 0.0)
+    road = tr.Road(2 * np.pi / 0.9, softness=0.05, diffusivity=tr.Exponential(0.01, 1e-9), profile=tr.Sine(1.0, 0.9))
+    wild = tr.Scene(road, tr.Fleet(8, 0.1), duration=1e6, lift_off=False)
+    ds = tr.simulate(wild, model, samples=2, nodes=32)
+    end = float(ds.status.split(":")[0].removeprefix("diverged between time 0 and "))
+    assert ds.time.size == 1 and 100 < end < 1e4 and "lift_off=False holds nothing" in ds.status

@@ -133,7 +133,7 @@ def _run(keeper, progress, allow_unstable):
     try:
         numerics = module.numerics(scene, given)
     except StabilityError as refusal:
-        if not allow_unstable:
+        if not (allow_unstable and hasattr(module, "unstable_numerics")):
             raise
         outside, numerics = str(refusal), module.unstable_numerics(scene, given)
     numerics = keeper.numerics or numerics
@@ -191,6 +191,8 @@ def _collect(keeper, module, times, numerics, progress, outside) -> str:
     with np.errstate(all="ignore"), bar:
         for item in module.samples(scene, times, numerics, keeper.state):
             if isinstance(item, Breath):
+                if trouble := watch.trouble(item.heights()):
+                    return f"diverged between time {keeper.last.time:.6g} and {item.time:.6g}: {trouble}"
                 keeper.breathe(item)
                 continue
             if not keeper.count and keeper.output is None:

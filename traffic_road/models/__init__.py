@@ -42,11 +42,12 @@ class Breath(NamedTuple):
     """A moment at which the run can be left. It changes nothing: a consumer that does not care skips it.
 
     state() -> dict of arrays and numbers, all that is needed to go on; "taken" is the number of samples before it. To be
-    called before the iterator is asked for more.
+    called before the iterator is asked for more. heights() -> the road (nodes,), less a level that is kept apart.
     """
 
     time: float
     state: Callable[[], dict]
+    heights: Callable[[], np.ndarray]
 
 
 class Pace:

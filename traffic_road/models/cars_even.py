@@ -55,7 +55,7 @@ def even_samples(scene, times, order, first_node, left=None, *, nodes, hold, rel
         while done < target:
             chunk = min(relax_every, target - done)
             if pace.due():
-                yield Breath(done * scene.headway / speed, leave)
+                yield Breath(done * scene.headway / speed, leave, road.heights)
             road.relax(pending + chunk / 2)
             for _ in range(chunk):
                 airborne += sweep(

@@ -91,6 +91,6 @@ def mixed_samples(scene, times, left=None, *, nodes, hold, relax_every):
                     heights -= sunk
                 level += sunk
             if pace.due():
-                yield Breath(float(until), leave)
+                yield Breath(float(until), leave, lambda: road)
         yield sample(end)
         taken, i = taken + 1, 0

@@ -114,6 +114,9 @@ def samples(scene, times, numerics: dict, state: dict | None = None):
         run = {"taken": taken, "now": now, "updates": updates, "steps": steps, "left": left, "length": length}
         return run | continuum.leave()
 
+    def heights():
+        return continuum.fields()[0]
+
     taken = updates = steps = left = 0  # steps between two samples, and how many of them are left
     now = length = 0.0
     if state is not None:
@@ -140,13 +143,13 @@ def samples(scene, times, numerics: dict, state: dict | None = None):
             left -= some
             batch *= 2 if perf_counter() - begin < LONGEST_BATCH else 1
             if left and pace.due():
-                yield Breath(now + (steps - left) * length, leave)
+                yield Breath(now + (steps - left) * length, leave, heights)
         now += steps * length
         steps = 0
         yield Sample(time, *continuum.fields(), None, updates)
         taken += 1
         if taken < len(times) and pace.due():
-            yield Breath(now, leave)
+            yield Breath(now, leave, heights)
 
 
 @lru_cache(maxsize=4)
