@@ -1,5 +1,6 @@
 """The command line: what it prints and writes, its exit status, and what is left after an error."""
 
+import json
 import os
 import subprocess
 import sys
@@ -85,8 +86,32 @@ def test_run_and_plot(model, dims, capsys):
     assert run(capsys, "plot", "r.nc", "-o", "other.pdf")[0] == 0 and Path("other.pdf").read_bytes()[:4] == b"%PDF"
 
 
+def test_plan_says_what_run_does(capsys):
+    status, out, err = run(capsys, "plan", "small.toml", "--tolerance", "1e-4")
+    assert (status, err) == (0, "") and written() == []
+    lines = out.splitlines()
+    assert len(lines) == 4 and "predicted error" in lines[1] and "predicted cost" in lines[2] and "theory" in lines[3]
+    run(capsys, "run", "small.toml", "-o", "r.nc", "--tolerance", "1e-4")
+    attributes = tr.open("r.nc").attrs
+    assert lines[0].split(":")[0] == attributes["model"] and attributes["plan"] == lines[3]
+    assert f"nodes {json.loads(attributes['numerics'])['nodes']}" in lines[0]
+
+
 def test_numerics_arrive(capsys):
-    numbers = ["--nodes", "264", "--hold", "5", "--relax-every", "2", "--samples", "3", "--tolerance", "0.5"]
+    numbers = [
+        "--model",
+        "cars",
+        "--nodes",
+        "264",
+        "--hold",
+        "5",
+        "--relax-every",
+        "2",
+        "--samples",
+        "3",
+        "--tolerance",
+        "0.5",
+    ]
     assert run(capsys, "run", "small.toml", "-o", "r.nc", *numbers)[0] == 0
     attributes = tr.open("r.nc").attrs
     assert attributes["numerics"] == '{"nodes": 264, "hold": 5, "relax_every": 2}' and attributes["tolerance"] == 0.5
@@ -181,9 +206,15 @@ BAD = [
     (["compare", "small.toml", "-o", "small.toml"], "small.toml: would overwrite the scene"),
     (["run", "./small.toml", "-o", "small.toml"], "small.toml: would overwrite the scene"),
     (["run", "small.toml"], "-o/--output"),
-    (["run", "small.toml", "-o", "r.nc", "--model", "linear"], "invalid choice: 'linear'"),
+    (["run", "small.toml", "-o", "r.nc", "--model", "train"], "invalid choice: 'train'"),
+    (
+        ["run", "small.toml", "-o", "r.nc", "--model", "linear", "--step", "1"],
+        "step: not a parameter of the linear model",
+    ),
+    (["plan", "papre"], "scene 'papre': neither a preset"),
+    (["plan", "small.toml", "--tolerance", "0"], "tolerance = 0.0: must be a finite number > 0"),
     (["run", "small.toml", "-o", "r.nc", "--model", "continuum", "--hold", "3"], "hold"),
-    (["run", "small.toml", "-o", "r.nc", "--step", "1"], "step: not a parameter of the cars model"),
+    (["run", "small.toml", "-o", "r.nc", "--model", "cars", "--step", "1"], "step: not a parameter of the cars model"),
     (["run", "small.toml", "-o", "r.nc", "--relax-every", "0"], "relax_every = 0"),
     (
         ["run", "small.toml", "-o", "r.nc", "--plot", "r.jpg"],
@@ -304,7 +335,7 @@ def test_help_is_quick_and_light():
         "import sys\nfrom traffic_road.cli import main\ntry:\n    main(['{}', '--help'])\nexcept SystemExit:\n    pass\n"
         "print(sorted({{'numba', 'xarray', 'scipy', 'matplotlib', 'netCDF4', 'numpy'}} & set(sys.modules)))"
     )
-    for command in ("compare", "run", "plot", "presets"):
+    for command in ("compare", "run", "plan", "plot", "presets"):
         done = subprocess.run(
             [sys.executable, "-c", script.format(command)], capture_output=True, text=True, timeout=60
         )

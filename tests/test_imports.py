@@ -20,18 +20,20 @@ RANK = {
     "theory": 4,
     "models": 4,
     "store": 4,
-    "plan": 5,
     "estimate": 5,
     "health": 5,
+    "costs": 5,
+    "predict": 6,
+    "planning": 7,
     "stream": 5,
     "checkpoint": 5,
     "keeper": 6,
-    "run": 7,
-    "sweep": 8,
+    "run": 8,
+    "sweep": 9,
     "analysis": 5,
-    "comparison": 8,
-    "plots": 9,
-    "cli": 10,
+    "comparison": 9,
+    "plots": 10,
+    "cli": 11,
     "": 0,  # traffic_road/__init__.py: names only, loaded when asked for
 }
 PACKAGES = {"schemes", "theory", "models"}
@@ -52,7 +54,11 @@ FORBIDDEN = {
     ("store", "models"),
     ("store", "theory"),
 }
-ALLOWED = {("theory/floquet", "models/cars")}  # in a function: the defaults of the scheme that it describes
+ALLOWED = {
+    ("theory/floquet", "models/cars"),  # in a function: the defaults of the scheme that it describes
+    ("models/linear", "theory/floquet"),  # the one model that is a closed form
+    ("models/linear", "theory/dispersion"),
+}
 
 
 def imports(path):

@@ -8,7 +8,7 @@ from scipy.optimize import brentq
 
 import traffic_road as tr
 from traffic_road import models
-from traffic_road.models import Breath, Sample, cars, cars_even, cars_mixed, continuum
+from traffic_road.models import Breath, Sample, cars, cars_even, cars_mixed, continuum, linear
 from traffic_road.theory import dispersion, floquet
 
 K = 0.9
@@ -36,6 +36,10 @@ CASES = {
     "continuum, laws": (continuum, scene(**SOFT), {"nodes": 32, "step": 0.25}),
     "continuum, many nodes": (continuum, scene(), {"nodes": 600, "step": 2.0}),
     "continuum, kinds": (continuum, scene(speed=SPEEDS), {"nodes": 32, "step": 1.0}),
+}
+CASES |= {
+    "linear": (linear, scene(amplitude=1e-3), {"nodes": 64}),
+    "linear, kinds": (linear, scene(amplitude=1e-3, speed=SPEEDS), {"nodes": 64}),
 }
 TIMES = [0.0, 7.0, 8.0, 31.0, 60.0]  # uneven: steps and relaxation differ from stretch to stretch
 

@@ -18,6 +18,7 @@ _PUBLIC = {
     "simulate": "run",
     "rerun": "run",
     "resume": "run",
+    "plan": "planning",
     "mode": "analysis",
     "growth_rate": "analysis",
     "phase_velocity": "analysis",

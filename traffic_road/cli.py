@@ -87,10 +87,15 @@ def _parser() -> argparse.ArgumentParser:
     run.add_argument(
         "--resume", metavar="FILE", help="go on from a checkpoint: no SCENE, and no -o unless it has changed"
     )
-    run.add_argument("--model", choices=("auto", "cars", "continuum"), help="default: auto")
+    run.add_argument("--model", choices=("auto", "linear", "continuum", "cars"), help="default: auto")
     run.add_argument("--plot", metavar="PICTURE", help="draw the result, too (.png, .pdf, .svg)")
     _add_numerics(run)
     run.set_defaults(command=_run)
+
+    plan = commands.add_parser("plan", help="what a run would use, and why: model, resolution, error, cost")
+    plan.add_argument("scene", metavar="SCENE", help=_SCENE_HELP)
+    plan.add_argument("--tolerance", type=float, default=1e-3, help="relative error of the corrugation (default 1e-3)")
+    plan.set_defaults(command=_plan)
 
     plot = commands.add_parser("plot", help="draw a stored result")
     plot.add_argument("file", metavar="FILE", help="netCDF file of `run` or `compare`")
@@ -100,7 +105,7 @@ def _parser() -> argparse.ArgumentParser:
     presets = commands.add_parser("presets", help="list the named scenes, or print one as TOML")
     presets.add_argument("name", nargs="?", help="the scene to print")
     presets.set_defaults(command=_presets)
-    for command in (compare, run, plot, presets):
+    for command in (compare, run, plan, plot, presets):
         command.add_argument("--debug", action="store_true", default=argparse.SUPPRESS, help=argparse.SUPPRESS)
     return parser
 
@@ -278,6 +283,13 @@ def _resumed(options):
     from .run import resume
 
     return resume(options.resume, scene=_scene(options.scene) if options.scene else None, output=options.output)
+
+
+def _plan(options) -> int:
+    from .planning import plan
+
+    print(plan(_scene(options.scene), options.tolerance))
+    return 0
 
 
 def _plot(options) -> int:

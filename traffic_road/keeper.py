@@ -38,13 +38,14 @@ PATIENCE = 1.2  # seconds after a signal until the run is stopped wherever it is
 
 
 class Job(NamedTuple):
-    """What was asked for. `given`: numerics that were; `times`: of the samples."""
+    """What was asked for. `given`: numerics that were; `times`: of the samples; `plan`: that of model="auto", as a dict."""
 
     scene: Scene
     model: str
     tolerance: float
     given: dict
     times: np.ndarray
+    plan: dict | None = None
 
     def facts(self) -> dict:
         """All but the times, as JSON can say it."""
@@ -53,7 +54,7 @@ class Job(NamedTuple):
     @classmethod
     def of(cls, facts: dict, times) -> Job:
         """The job whose `facts` these are."""
-        return cls(Scene.from_dict(facts["scene"]), facts["model"], facts["tolerance"], facts["given"], times)
+        return cls(Scene.from_dict(facts["scene"]), facts["model"], facts["tolerance"], facts["given"], times, facts["plan"])
 
 
 class Memory:

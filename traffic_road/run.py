@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import time as clock
 import warnings
+from dataclasses import asdict, replace
 
 import numpy as np
 import xarray as xr
@@ -18,6 +19,7 @@ from .keeper import Disk, Job, Memory, guarded
 from .laws import finite, whole
 from .memory import refuse_beyond_memory
 from .models import Breath, Sample, model
+from .planning import plan
 from .scene import Scene
 from .store import arguments_of, refuse_unwritable
 
@@ -31,13 +33,15 @@ def simulate(
 ) -> xr.Dataset:  # fmt: skip
     """Run `scene` and return its Dataset.
 
-    model: "cars", "continuum", or "auto" (the cars, which are what a scene describes). tolerance: relative error of the
-    corrugation (L2 over the road, mean removed) at the end; where no resolution is given the default is refined until the
-    estimate meets it. samples: number of times, evenly spaced from 0 to the duration, or the times themselves, which then
-    say how long the run is. Numerics override the default: nodes, hold, relax_every for "cars", nodes, step for
-    "continuum". progress: True, False, a function that is given the fraction done (from the start again when the resolution
-    is refined), or None for a bar after two seconds if there is a terminal. allow_unstable: run outside a stability limit,
-    too, with a warning and without an error estimate, for study.
+    model: "cars", "continuum", "linear", or "auto", what `plan` chooses. tolerance: relative error of the corrugation (L2
+    over the road, mean removed) at the end; where no resolution is given the default, or the plan's, is refined until the
+    estimate meets it. By name `error_estimate` is the error by the model's own equations; with "auto" it is that against
+    the discrete scene, the part `model_error` that the plan predicts included. samples: number of times, evenly spaced
+    from 0 to the duration, or the times themselves, which then say how long the run is. Numerics override the default:
+    nodes, hold, relax_every for "cars", nodes, step for "continuum", nodes for "linear". progress: True, False, a function
+    that is given the fraction done (from the start again when the resolution is refined), or None for a bar after two
+    seconds if there is a terminal. allow_unstable: run outside a stability limit, too, with a warning and without an error
+    estimate, for study.
 
     output: netCDF file to write. Samples are streamed to it, so that memory stays flat, and whoever opens it meanwhile finds
     a whole file of the run so far; `status` says so. A result of more than 64 MB is given back as that file, opened, whose
@@ -52,8 +56,7 @@ def simulate(
     if not isinstance(scene, Scene):
         raise SceneError(f"scene = {shown(scene)}: must be a Scene; preset(name) and Scene.from_toml(path) give one")
     _refuse_progress(progress)
-    name = "cars" if model == "auto" else model
-    finite("tolerance", tolerance, above=0)
+    tolerance = finite("tolerance", tolerance, above=0)
     every = finite("checkpoint_every", checkpoint_every, least=0)
     if output is not None:
         refuse_unwritable(output)
@@ -65,7 +68,11 @@ def simulate(
             raise StoreError(
                 f"{checkpoint}: there is a file; go on from it with tr.resume or --resume, or name another"
             )
-    job = Job(scene, name, finite("tolerance", tolerance), numerics, _times(scene, samples))
+    times, chosen = _times(scene, samples), None
+    if model == "auto":
+        chosen = asdict(plan(replace(scene, duration=float(times[-1])), tolerance, **numerics))
+        model = chosen["model"]
+    job = Job(scene, model, tolerance, numerics, times, chosen)
     if output is None and checkpoint is None:
         return _run(Memory(job), progress, allow_unstable)
     disk = Disk(job, output, checkpoint, every)
@@ -127,11 +134,11 @@ def rerun(ds, **changes) -> xr.Dataset:
 
 
 def _run(keeper, progress, allow_unstable):
-    scene, name, tolerance, given, times = keeper.job.scene, *keeper.job[1:]
+    scene, name, tolerance, given, times, chosen = keeper.job
     module = model(name)
     outside = None
     try:
-        numerics = module.numerics(scene, given)
+        numerics = module.numerics(scene, chosen["numerics"] if chosen else given)
     except StabilityError as refusal:
         if not (allow_unstable and hasattr(module, "unstable_numerics")):
             raise
@@ -151,13 +158,17 @@ def _run(keeper, progress, allow_unstable):
         elif status == "ok":
             begin = clock.perf_counter()
             error, method = error_estimate(scene, name, numerics, last)
+            if chosen and chosen["model_error"] > 0:
+                error, method = error + chosen["model_error"], f"{method}; the model's own error by the plan"
             estimate_time = clock.perf_counter() - begin
         else:
             error, method, estimate_time = float("inf"), "none: the run diverged", 0.0
         finer = module.finer(scene, numerics, given)
-        if not error > tolerance or outside or status != "ok" or finer == numerics:
+        if chosen and not chosen["error"] <= tolerance:
+            finer = numerics  # the plan has tried finer ones
+        if not error > tolerance or outside or status != "ok" or (finer == numerics and given):
             break
-        if attempt == REFINEMENTS:
+        if attempt == REFINEMENTS or finer == numerics:
             warnings.warn(
                 f"tolerance = {tolerance:g}: not met, the error estimate is {error:.2g} with {numerics}; "
                 "name finer numerics, shorten the duration, or ask less of a road that is nearly flat",
@@ -175,6 +186,8 @@ def _run(keeper, progress, allow_unstable):
         "status": status,
         "samples": times.size if np.array_equal(times, _times(scene, times.size)) else times,
     }
+    if chosen:
+        outcome |= {"model_error": chosen["model_error"], "plan": chosen["reason"], "planning_time": chosen["planning_time"]}
     if last.airborne is not None:
         outcome["airborne_passages"] = last.airborne
     return keeper.finish(outcome)

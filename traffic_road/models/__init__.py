@@ -22,7 +22,7 @@ import numpy as np
 
 from ..errors import SceneError
 
-MODELS = ("cars", "continuum")
+MODELS = ("cars", "continuum", "linear")
 PACE = 0.1  # seconds of work between one breath and the next
 
 

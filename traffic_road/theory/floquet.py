@@ -18,25 +18,34 @@ from .dispersion import fleet_dispersion
 MOST_ROWS = 2000  # of the matrix: half a minute for its eigenvalues
 
 
-def sweep_matrix(k, *, headway, rows, hold, softness, car) -> np.ndarray:
-    """One headway without relaxation, (rows + 2 + hold)^2, on a Bloch wave; car = (speed, frequency, damping, mass)."""
+def sweep_map(*, headway, rows, hold, softness, car) -> np.ndarray:
+    """One headway of a car through its block, without relaxation: (rows + 2 + hold, rows + 3 + hold), real.
+
+    Of H_1..H_rows, Z, P, h_0, h_-1, ..., the last column the weight of the car; car = (speed, frequency, damping, mass).
+    """
     speed, frequency, damping, mass = car
     A, B = (c[0] for c in propagator(headway / rows / speed, frequency, damping, hold))
     push = 0.5 * softness * mass * headway / speed
     size = rows + 2 + hold
-    state = np.eye(size, dtype=complex)  # rows of `state`: H_1..H_rows, Z, P, h_0, h_-1, ...; columns: basis vectors
-    road, Z, P = state[:rows].copy(), state[rows], state[rows + 1]
-    past = list(state[rows + 2 :])
+    state = np.eye(size + 1)  # columns: basis vectors, the last a load of 1
+    road, Z, P, load = state[:rows].copy(), state[rows], state[rows + 1], state[-1]
+    past = list(state[rows + 2 : -1])
     for r in range(rows):
         z_star = A[0, 0] * Z + A[0, 1] * P + sum(B[0, q + 1] * past[q] for q in range(hold))
         p_star = A[1, 0] * Z + A[1, 1] * P + sum(B[1, q + 1] * past[q] for q in range(hold))
-        contact = (road[r] + push * frequency**2 * z_star) / (1 + push * frequency**2 * (1 - B[0, 0]))
+        contact = (road[r] - push * (load - frequency**2 * z_star)) / (1 + push * frequency**2 * (1 - B[0, 0]))
         road[r] = 2 * contact - road[r]
         Z, P = z_star + B[0, 0] * contact, p_star + B[1, 0] * contact
         past = [contact, *past[:-1]]
+    return np.vstack([road, Z, P, *past])
+
+
+def sweep_matrix(k, *, headway, rows, hold, softness, car) -> np.ndarray:
+    """One headway without relaxation, (rows + 2 + hold)^2, on a Bloch wave; car = (speed, frequency, damping, mass)."""
+    matrix = sweep_map(headway=headway, rows=rows, hold=hold, softness=softness, car=car)[:, :-1].astype(complex)
     # shift: the car that enters block 0 next comes from block -1
-    shift = np.exp(-1j * k * headway)
-    return np.vstack([road, shift * Z, shift * P, *(shift * h for h in past)])
+    matrix[rows:] *= np.exp(-1j * k * headway)
+    return matrix
 
 
 def relaxation_matrix(k, *, headway, rows, diffusion) -> np.ndarray:

@@ -1,0 +1,61 @@
+"""What a run costs, in seconds of one core, as far as a choice between runs needs it: within a factor of two.
+
+The constants were measured on one core at 2.9 GHz (`experiments/planning.py` prints how true they are where it runs); another
+machine is slower or faster by much the same factor everywhere, and the choice stays.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from .laws import Constant
+from .models import cars, linear
+from .models.continuum_state import FEW_NODES, FEW_NODES_VARYING, Kinds, constant
+
+FIXED = 0.7e-3  # of any run: scene to samples
+CALL = 4e-6  # of a compiled sweep or relaxation of one headway
+UPDATE = {1: 0.8e-9, 3: 1.2e-9, 5: 1.6e-9}  # a node crossed, by the hold
+LAW = 20e-9  # the same where the softness varies
+ANY_ORDER = 220e-9  # the same from a heap, car by car
+RELAX = 15e-9  # a node relaxed, constant diffusivity
+RELAX_LAW = 100e-9  # a node and a polynomial's degree
+
+
+def of_cars(scene, numerics: dict) -> float:
+    road, nodes, hold = scene.road, numerics["nodes"], numerics["hold"]
+    headways = scene.duration / scene.headway_time
+    varies = not isinstance(road.softness, Constant)
+    even = cars.even_start(scene, nodes) is not None
+    update = (LAW if varies else UPDATE[hold]) if even else ANY_ORDER
+    sweep = CALL + nodes * update
+    relax = 0.0
+    if not isinstance(road.diffusivity, Constant):
+        interval = scene.headway_time * numerics["relax_every"]
+        reach = 0.5 * interval * float(road.diffusivity(0.0)) * (np.pi * nodes / road.length) ** 2
+        relax = CALL + nodes * RELAX_LAW * (1 + np.sqrt(2 * reach))
+    elif road.diffusivity.value > 0:
+        relax = CALL + nodes * RELAX
+    return FIXED + headways * (sweep + relax / numerics["relax_every"])
+
+
+def of_linear(scene, numerics: dict, waves: int) -> float:
+    """`waves`: of the profile, the uniform one included."""
+    if not linear.is_even(scene):
+        size = 2 * len(Kinds.of(scene.fleet).speed) + 2
+        return FIXED + waves * (5e-6 + 2e-8 * size**3)
+    size = numerics["nodes"] / scene.fleet.count + 3 + linear.HOLD
+    headways = max(2.0, scene.duration / scene.headway_time)
+    products = 1.5 * np.log2(headways) + 2
+    return FIXED + waves * (30e-6 + products * (2e-6 + 0.6e-9 * size**3))
+
+
+def of_continuum(scene, numerics: dict, leaps: bool) -> float:
+    """leaps: no law varies and no car takes off, so that one exponential leads from sample to sample."""
+    nodes, kinds = numerics["nodes"], len(Kinds.of(scene.fleet).speed)
+    build = nodes * (4e-6 + 2e-8 * (2 * kinds + 4) ** 3)
+    if leaps:
+        return FIXED + build
+    steps = scene.duration / numerics["step"]
+    few = nodes <= (FEW_NODES if constant(scene.road) else FEW_NODES_VARYING)
+    step = nodes * (25e-9 * nodes if few else 1.7e-6) * (1 + 0.5 * kinds)
+    return FIXED + 2 * build + steps * (10e-6 + step)

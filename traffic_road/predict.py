@@ -1,0 +1,267 @@
+"""What a plan knows before a scene is run: whether cars take off, and the error that a model and its grid will make.
+
+The truth that errors refer to is the discrete scene: the cars model in the limit of a fine grid, relaxed every headway.
+Relative error of the corrugation: L2 over the road, mean removed, at the end.
+
+`ByTheory`: evenly spaced identical cars, constant laws, no car in flight. Every scheme is then a matrix per wave, and its
+road at the end is known without a run: errors are those of the strongest waves, their growth over the whole duration and
+the ripple that passages leave. `ByRuns`: elsewhere. Two or three coarse runs of cars tell the order and the constant of the
+grid's error and, extrapolated, the road itself, with which coarse runs of the continuum are compared.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cached_property
+from itertools import pairwise
+
+import numpy as np
+
+from .errors import SceneError, StabilityError
+from .estimate import corrugation_difference
+from .laws import Constant
+from .models import cars, continuum, linear
+from .profiles import Noise, Sine
+from .scene import Fleet, Road
+
+STRONGEST = 12  # waves that stand for all of a road
+FINEST = 32  # rows of the finest matrices, beyond which their error is extrapolated
+PIECE_CARS, PIECE_WAVES = 48, 8  # a piece of a long noisy road that stands for all of it has at least so many
+ENOUGH = 0.35  # of the tolerance: a difference of two coarse runs below which a third is not needed
+FINE_STEP = 0.5  # of the continuum, where only its model is in question
+HARDLY = 1e-13  # error below which nothing can be told from rounding
+
+
+def relative(road, other) -> float:
+    """Difference of two roads relative to the first; inf where one has been lost, 0 where both are flat."""
+    if not (np.all(np.isfinite(road)) and np.all(np.isfinite(other))):
+        return np.inf
+    if not np.ptp(road) > 0:
+        return 0.0 if not np.ptp(other) > 0 else np.inf
+    with np.errstate(all="ignore"):
+        return float(np.nan_to_num(corrugation_difference(road, other), nan=np.inf))
+
+
+def constant_laws(scene) -> bool:
+    return all(isinstance(law, Constant) for law in (scene.road.softness, scene.road.diffusivity))
+
+
+def whole_headways(scene, times: int = 1) -> int:
+    """The duration in headways, a multiple of `times`, at least one."""
+    return max(1, round(scene.duration / scene.headway_time / times)) * times
+
+
+def order(coarse: float, fine: float, least: float, most: float) -> float:
+    """The order that two differences of runs, each at twice the resolution of the last, tell; within limits."""
+    if not (fine > HARDLY and np.isfinite(coarse)):
+        return least
+    return float(np.clip(np.log2(max(coarse, fine) / fine), least, most))
+
+
+class ByTheory:
+    """Errors by linear theory, for an even fleet under constant laws that never leaves the road."""
+
+    words = "linear theory: evenly spaced cars, constant laws, and no car takes off"
+
+    def __init__(self, scene):
+        self.scene, self.count = scene, scene.fleet.count
+        self.least = max(1, -(-(2 * scene.road.profile.highest_wave(scene.road.length) + 1) // self.count))
+        field = linear.MeanField(scene)
+        end = whole_headways(scene) * scene.headway_time
+        with np.errstate(all="ignore"):
+            y = field.after(field.y, end)
+        self.waves = field.waves.size
+        self.folded = np.unique(np.minimum(field.waves % self.count, -field.waves % self.count)).size
+        strength = np.abs(y[:, 0])
+        strength[0] = -1.0
+        self.strongest = field.waves[np.argsort(-strength)[:STRONGEST]]
+        self.highest = int(field.waves[-1])
+        # as the continuum sees it: what the waves of the springs add up to, at the start and at the end
+        stretch = [field.square.max() * 2 * np.abs(w[1:, 1:-1:2] - w[1:, :1]).sum() for w in (field.y, y)]
+        self.surely_linear = not scene.lift_off or max(stretch) < 0.8
+        self.mean_field = np.zeros(max(2, int(field.waves[-1]) + 1), dtype=complex)
+        self.mean_field[field.waves] = y[:, 0]
+
+    def _road(self, rows, **scheme):
+        """Heights at the end by a scheme, of the uniform and the strongest waves alone."""
+        classes = np.unique(np.append(np.minimum(self.strongest % self.count, -self.strongest % self.count), 0))
+        with np.errstate(all="ignore"):
+            blocks = linear.Blocks(self.scene, rows, classes=classes, **scheme)
+            intervals = whole_headways(self.scene) // scheme.get("relax_every", 1)
+            return blocks.road(blocks.after(blocks.y, intervals), rows * self.count)
+
+    @cached_property
+    def _levels(self):
+        """Rows, and the roads on them, each twice as fine as the last; then their errors and order."""
+        rows = [max(4, self.least) * 2**n for n in range(8)]
+        rows = [r for r in rows if r <= FINEST] or rows[:1]
+        rows.append(2 * rows[-1])
+        roads = [self._road(r) for r in rows]
+        differences = [relative(fine, coarse) for coarse, fine in pairwise(roads)]
+        rate = order(differences[-2], differences[-1], 0.4, 2.0) if len(differences) > 1 else 1.0
+        # what is left of the finest, by the order: all errors against what that tells of the limit
+        left = differences[-1] / (2**rate - 1)
+        return rows, roads, [d + left for d in differences] + [left], rate
+
+    @property
+    def truth(self):
+        return self._levels[1][-1]
+
+    @property
+    def left(self) -> float:
+        """Error of `truth` itself."""
+        return self._levels[2][-1]
+
+    def linear(self, rows: int) -> float:
+        levels, _, errors, rate = self._levels
+        if rows in levels:
+            return errors[levels.index(rows)]
+        near = max((r for r in levels if r < rows), default=levels[0])
+        return errors[levels.index(near)] * (near / rows) ** rate
+
+    def cars(self, numerics: dict) -> float:
+        rows = numerics["nodes"] // self.count
+        known = min(rows, FINEST)
+        road = self._road(known, hold=numerics["hold"], relax_every=numerics["relax_every"], offset=0.0)
+        if known == rows:
+            return relative(self.truth, road) + self.left
+        often = self._road(known, hold=5, offset=0.0)
+        grid = relative(self.truth, often) * known / rows  # the ripple, at order 1
+        return relative(often, road) + grid + self.left
+
+    @cached_property
+    def continuum(self) -> float:
+        """Error of the mean field, whatever its grid: other growth, and no ripple."""
+        return relative(self.truth, self._mean_field_road()) + self.left
+
+    def _mean_field_road(self):
+        wave = np.zeros(self.truth.size // 2 + 1, dtype=complex)
+        kept = self.strongest[self.strongest < wave.size]
+        wave[kept] = self.mean_field[kept]
+        return np.fft.irfft(wave, n=self.truth.size, norm="forward")
+
+
+class ByRuns:
+    """Errors by coarse runs: two of cars, one on twice the nodes, a third where the tolerance asks for it; and of others."""
+
+    def __init__(self, scene, tolerance: float, hold: int = 3):
+        self.scene, self.tolerance, self.hold = scene, tolerance, hold
+        self.piece = piece(scene)
+        self.even = linear.is_even(scene)
+        self.waves = scene.road.profile.highest_wave(scene.road.length) + 1
+        self.end = whole_headways(scene, 4) * scene.headway_time
+        self._runs: dict = {}
+
+    @property
+    def words(self) -> str:
+        part = "" if self.piece is self.scene else f" of {self.piece.fleet.count} of the {self.scene.fleet.count} cars"
+        number = {2: "a pair of", 3: "three"}[len(self._levels[0])]
+        return f"{number} coarse runs of cars{part}: no theory holds for all of the scene"
+
+    def _of_piece(self, nodes: int) -> int:
+        return round(nodes * self.piece.road.length / self.scene.road.length)
+
+    def _cars(self, nodes: int, relax_every: int = 1):
+        """Road at the end of a run on the piece; nodes: of the piece."""
+        key = nodes, relax_every
+        if key not in self._runs:
+            numerics = cars.numerics(self.piece, {"nodes": nodes, "hold": self.hold, "relax_every": relax_every})
+            self._runs[key] = self._end_of(cars, numerics)
+        return self._runs[key]
+
+    def _end_of(self, model, numerics):
+        with np.errstate(all="ignore"):
+            *_, last = model.samples(self.piece, np.array([0.0, self.end]), numerics)
+        return last.road_height
+
+    @cached_property
+    def least(self) -> int:
+        """Nodes of the coarsest usable grid of the piece: 4 a headway, or what the profile and the hold need."""
+        count, length = self.piece.fleet.count, self.piece.road.length
+        rows = max(4, -(-(2 * self.piece.road.profile.highest_wave(length) + 1) // count), -(-(self.hold + 1) // count))
+        for _ in range(40):
+            try:
+                cars.numerics(self.piece, {"nodes": rows * count, "hold": self.hold})
+                return rows * count
+            except StabilityError:
+                rows *= 2
+        raise SceneError("frequency: no grid can be as fine as this fleet needs; use a lower frequency or longer road")
+
+    @cached_property
+    def _levels(self):
+        """Nodes of the coarse grids, their errors, and the order."""
+        nodes = [self.least, 2 * self.least]
+        first = relative(self._cars(nodes[1]), self._cars(nodes[0]))
+        if first <= ENOUGH * self.tolerance:  # even at order 1 the better one is as good as that
+            return nodes, [2 * first, first], 1.0
+        nodes.append(2 * nodes[-1])
+        second = relative(self._cars(nodes[2]), self._cars(nodes[1]))
+        rate = order(first, second, 0.5, 2.0)
+        left = second / (2**rate - 1)
+        return nodes, [first + second + left, second + left, left], rate
+
+    def _grid(self, nodes: float) -> float:
+        levels, errors, rate = self._levels
+        near = max((n for n in levels if n <= nodes), default=levels[0])
+        slope = rate if nodes < levels[-1] else min(rate, 1.0)  # on fine grids steps at the wheels are all that is left
+        return errors[levels.index(near)] * (near / nodes) ** slope
+
+    def cars(self, numerics: dict) -> float:
+        """Error of cars, or what a run's own estimate, by half the nodes, will say where that is more."""
+        nodes = self._of_piece(numerics["nodes"])
+        error = self._grid(nodes)
+        if nodes >= 2 * self.least:
+            error = max(error, self._grid(nodes / 2) - error)
+        if numerics["relax_every"] > 1:
+            error += relative(self._cars(self.least), self._cars(self.least, numerics["relax_every"]))
+        return error
+
+    @cached_property
+    def _truth(self) -> tuple:
+        """The finest road, for an even fleet with the error that is told taken off, which leaves a third; and its error."""
+        nodes, errors, rate = self._levels
+        coarse, fine = self._cars(nodes[-2]), self._cars(nodes[-1])
+        if not (self.even and np.all(np.isfinite(fine))):
+            return fine, errors[-1]
+        wave = np.fft.rfft(fine, norm="forward")
+        gain = np.fft.rfft(fine[::2] - coarse, norm="forward") / (2**rate - 1)
+        wave[: gain.size - 1] += gain[:-1]
+        return np.fft.irfft(wave, n=fine.size, norm="forward"), errors[-1] / 3
+
+    def other(self, name: str, numerics: dict) -> float:
+        """Error of another model with these numerics."""
+        module = {"continuum": continuum, "linear": linear}[name]
+        numerics = module.numerics(self.piece, numerics | {"nodes": self._of_piece(numerics["nodes"])})
+        truth, left = self._truth
+        return relative(truth, self._end_of(module, numerics)) + left
+
+    @cached_property
+    def model_error(self) -> float:
+        """Error of the continuum however fine: of one with small steps."""
+        return self.other("continuum", continuum.numerics(self.scene, {"step": FINE_STEP}))
+
+    def continuum(self, numerics: dict) -> tuple[float, float]:
+        """Error of the continuum with these numerics, and the part of it that is the model's."""
+        error = self.other("continuum", numerics)
+        return error, min(error, self.model_error) if error > ENOUGH * self.tolerance else error
+
+
+def piece(scene):
+    """A shorter ring that stands for the scene: one period of a periodic one, or a part of a long noisy one."""
+    road, fleet, count = scene.road, scene.fleet, scene.fleet.count
+    if fleet.position is not None or any(isinstance(getattr(fleet, n), tuple) for n in ("speed", "frequency", "mass")):
+        return scene
+    if isinstance(fleet.damping, tuple):
+        return scene
+    waves = road.profile.highest_wave(road.length)
+    parts = 1
+    if isinstance(road.profile, Sine):
+        parts = int(np.gcd(waves, count))
+    elif isinstance(road.profile, Noise):
+        most = min(count // PIECE_CARS, waves // PIECE_WAVES)
+        parts = max((n for n in range(1, most + 1) if count % n == 0), default=1)
+    if parts == 1:
+        return scene
+    shorter = Road(road.length / parts, road.softness, road.diffusivity, road.profile)
+    one = Fleet(count // parts, fleet.damping, fleet.speed, fleet.frequency, fleet.mass, start=fleet.start)
+    return replace(scene, road=shorter, fleet=one)
