@@ -54,7 +54,9 @@ class Job(NamedTuple):
     @classmethod
     def of(cls, facts: dict, times) -> Job:
         """The job whose `facts` these are."""
-        return cls(Scene.from_dict(facts["scene"]), facts["model"], facts["tolerance"], facts["given"], times, facts["plan"])
+        return cls(
+            Scene.from_dict(facts["scene"]), facts["model"], facts["tolerance"], facts["given"], times, facts["plan"]
+        )
 
 
 class Memory:

@@ -187,7 +187,11 @@ def _run(keeper, progress, allow_unstable):
         "samples": times.size if np.array_equal(times, _times(scene, times.size)) else times,
     }
     if chosen:
-        outcome |= {"model_error": chosen["model_error"], "plan": chosen["reason"], "planning_time": chosen["planning_time"]}
+        outcome |= {
+            "model_error": chosen["model_error"],
+            "plan": chosen["reason"],
+            "planning_time": chosen["planning_time"],
+        }
     if last.airborne is not None:
         outcome["airborne_passages"] = last.airborne
     return keeper.finish(outcome)
