@@ -113,9 +113,11 @@ def samples(scene, times, numerics: dict, state: dict | None = None):
     for time in map(float, times[taken:]):
         y, now = run.advance(y, now, time)
         taken += 1
-        yield Sample(now, *run.fields(y, nodes), None, 0)
+        sample = Sample(now, *run.fields(y, nodes), None, 0)
+        yield sample
         if taken < len(times) and pace.due():
-            yield Breath(now, lambda y=y, now=now, taken=taken: {"y": y.copy(), "now": now, "taken": taken})
+            state = {"y": y.copy(), "now": now, "taken": taken}
+            yield Breath(now, lambda state=state: state, lambda sample=sample: sample.road_height)
 
 
 class Blocks:
