@@ -1,10 +1,11 @@
 """What every experiment shares: its two options, and where its data and picture go."""
 
 import argparse
+import re
 from pathlib import Path
 
 from traffic_road.plots import save_figure
-from traffic_road.store import save
+from traffic_road.store import origin, save
 
 
 def options(doc: str) -> argparse.Namespace:
@@ -16,8 +17,14 @@ def options(doc: str) -> argparse.Namespace:
 
 
 def store(name: str, folder: Path, ds, figure) -> None:
-    """Write FOLDER/NAME.nc and FOLDER/NAME.png."""
+    """Write FOLDER/NAME.nc, in CF's names (0.9 in a name becomes 0_9) and with where it comes from, and FOLDER/NAME.png."""
     folder.mkdir(parents=True, exist_ok=True)
-    save(ds, folder / f"{name}.nc")
+    stored = ds.rename({n: _name(n) for n in {*ds.variables, *ds.dims} if n != _name(n)})
+    stored.attrs = origin() | {_name(n): value for n, value in ds.attrs.items()}
+    save(stored, folder / f"{name}.nc")
     save_figure(figure, folder / f"{name}.png")
     print(f"wrote {folder / name}.nc and .png")
+
+
+def _name(name: str) -> str:
+    return re.sub(r"\W", "_", name.replace("+", ""))

@@ -226,7 +226,9 @@ def main() -> None:
     regular = (errors > 1e-10) & (steps <= 5)
     order = float(np.polyfit(np.log(steps[regular]), np.log(errors[regular]), 1)[0])
     print(f"order in the step, bouncing, step <= 5: {order:.2f}")
-    data["step"], data["step_error"] = ("step", steps), ("step", errors, {"fitted_order": order})
+    data["step"] = ("step", steps, {"long_name": "longest time step", "units": "1"})
+    text = "error of the road, bouncing, by the step"
+    data["step_error"] = ("step", errors, {"long_name": text, "units": "1", "fitted_order": order})
     ds = xr.Dataset(data)
     ds.attrs = {"Conventions": "CF-1.11", "title": "Continuum against solve_ivp: error against time"}
     for (name, target), (ratio, bare) in ratios.items():

@@ -95,7 +95,11 @@ def long_scale(ds: xr.Dataset) -> xr.Dataset:
     }
     return xr.Dataset(
         {name: (dims, values, {"long_name": text, "units": "1"}) for name, (dims, values, text) in named.items()},
-        {"time": ds.time, "x": length / POINTS * np.arange(POINTS), "k": k[band]},
+        {
+            "time": ds.time,
+            "x": ("x", length / POINTS * np.arange(POINTS), {"long_name": "distance along the road", "units": "1"}),
+            "k": ("k", k[band], {"long_name": "wavenumber", "units": "1"}),
+        },
         {"length": length, "error_estimate": ds.attrs["error_estimate"], "wall_time": ds.attrs["wall_time"]},
     )
 

@@ -1,5 +1,7 @@
 """Amplitudes, growth and velocity of known roads; fields from cars."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -67,3 +69,33 @@ def test_coarse_grain_of_a_run_is_the_continuum():
     # a headway of 1/32 wavelength: 1e-3 of the wave, and the end may differ by half a headway in time
     assert float(np.abs(height.values - expected.values).max()) < 0.02 * float(np.abs(expected).max())
     assert set(tr.coarse_grain(continuum).data_vars) == {"car_height", "contact_force"}
+
+
+def test_what_is_no_result_is_refused_in_one_line():
+    run = tr.simulate(tr.preset("paper"), "continuum", samples=3)
+    broken = run.copy(deep=True)
+    broken.road_height[1, 2] = np.nan
+    for call, words in (
+        (lambda: tr.mode(3, 0.9), "must be the Dataset of a run"),
+        (lambda: tr.mode(run.drop_vars("x"), 0.9), r"no road_height \(time, x\)"),
+        (lambda: tr.mode(broken, 0.9), "road_height: must hold finite numbers"),
+        (lambda: tr.mode(run, np.nan), "wavenumber = nan"),
+        (lambda: tr.mode(run.isel(x=[0]), 0.9), "x: must hold two or more equally spaced nodes"),
+        (lambda: tr.mode(run.isel(x=slice(None, None, -1)), 0.9), "x: must hold"),
+        (lambda: tr.mode(run.isel(time=[1, 1]), 0.9), "time: must increase"),
+        (lambda: tr.growth_rate(run.isel(time=[0]), 0.9), "a rate needs two samples or more, there are 1"),
+        (lambda: tr.phase_velocity(run.isel(time=[0]), 0.9), "a rate needs two samples or more"),
+        (lambda: tr.coarse_grain(run.drop_vars("car_height")), "no car_height"),
+        (lambda: tr.coarse_grain("run"), "must be the Dataset"),
+        (lambda: tr.to_si(3, tr.Scales(11, 11, 200)), "3 is no Dataset"),
+        (lambda: tr.to_si(run.assign_attrs(passages_per_time="x"), tr.Scales(11, 11, 200)), "passages_per_time = 'x'"),
+        (lambda: tr.to_si(run.drop_vars("time"), tr.Scales(11, 11, 200)), "coordinate 'time' is missing"),
+    ):
+        with pytest.raises(tr.SceneError, match=words) as caught:
+            call()
+        assert "\n" not in str(caught.value)
+
+
+def test_a_flat_road_has_no_rate():
+    flat = replace(tr.preset("paper"), road=tr.Road(2 * np.pi / 0.9, 0.006, 0.01))
+    assert np.isnan(tr.growth_rate(tr.simulate(flat, "continuum", samples=3), 0.9)).all()

@@ -101,3 +101,40 @@ def test_a_fleet_of_one_kind_is_the_cubic_and_two_kinds_solve_their_relation():
             s = sigma + 1j * wave * speed
             total += 0.02 * share * mass * omega**2 * s**2 / (s**2 + 2 * gamma * omega * s + omega**2)
         assert abs(total) < 1e-14
+
+
+ROAD = {"softness": 0.01, "diffusivity": 0.01, "damping": 0.1}
+FLEET = tr.Fleet(2, 0.1)
+
+
+@pytest.mark.parametrize(
+    ("call", "words"),
+    [
+        (lambda: dispersion("0.9", **ROAD), "k = '0.9': must be finite"),
+        (lambda: dispersion(np.nan, **ROAD), "k = nan: must be finite"),
+        (lambda: dispersion(1e300, **ROAD), r"k = 1e\+300: must be finite, at most 1e\+30 in size"),
+        (lambda: dispersion(True, **ROAD), "k = True: must be finite"),
+        (lambda: dispersion([1, 10**400], **ROAD), "must be finite"),
+        (lambda: dispersion(0.9, **{**ROAD, "softness": -0.01}), "softness = -0.01: must be finite and >= 0"),
+        (lambda: dispersion(0.9, **{**ROAD, "damping": [0.1, -1]}), "damping = -1.0: must be finite and >= 0"),
+        (lambda: dispersion([1, 2], **{**ROAD, "damping": [1, 2, 3]}), r"shapes do not fit each other: k \(2,\)"),
+        (lambda: dispersion(0.9, **ROAD, headway=0), "headway = 0.0: must be finite and > 0"),
+        (lambda: dispersion_roots(0.9, **ROAD, hardening_rate=np.inf), "hardening_rate = inf"),
+        (lambda: dispersion_leading({}, **ROAD), "k = {}: must be finite"),
+        (lambda: dispersion_leading(1, **{**ROAD, "damping": 0}), "damping = 0: undamped cars resonate with k = 1"),
+        (lambda: fleet_dispersion(1j, FLEET, softness=0.1, diffusivity=0.1), "k = 1j: must be finite"),
+        (lambda: fleet_dispersion(1, 3, softness=0.1, diffusivity=0.1), "fleet = 3: must be a Fleet"),
+        (
+            lambda: fleet_dispersion(1, FLEET, softness=[0.1], diffusivity=0.1),
+            "softness = .0.1.: must be a finite number",
+        ),
+        (
+            lambda: fleet_dispersion(1, tr.Fleet(1, 0.1, frequency=1e200), softness=0.1, diffusivity=0.1),
+            "fleet: its speeds, frequencies, damping or masses overflow",
+        ),
+    ],
+)
+def test_what_cannot_be_used_is_named(call, words):
+    with pytest.raises(tr.SceneError, match=words) as caught:
+        call()
+    assert "\n" not in str(caught.value)

@@ -4,6 +4,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import cf
 import numpy as np
 import pytest
 import xarray as xr
@@ -21,3 +22,6 @@ def test_experiment(script, tmp_path):
     with xr.open_dataset(tmp_path / f"{script.stem}.nc", decode_times=False) as ds:
         numbers = [v.values for v in ds.data_vars.values() if v.dtype.kind == "f"]
     assert numbers and all(np.isfinite(v).any() for v in numbers)
+    cf.check_by_hand(tmp_path / f"{script.stem}.nc")
+    if cf.installed():
+        assert cf.errors(tmp_path / f"{script.stem}.nc", tmp_path) == []

@@ -1,7 +1,9 @@
 """Scenes, laws and profiles: what is accepted, what is refused and in which words, and what survives a round trip."""
 
 import json
+import os
 import re
+import sys
 from dataclasses import FrozenInstanceError, replace
 
 import numpy as np
@@ -408,6 +410,55 @@ def test_no_scene_at_all(tmp_path):
 def test_broken_file(content, words, tmp_path):
     (tmp_path / "a.toml").write_bytes(content)
     assert words in refusal(tr.Scene.from_toml, tmp_path / "a.toml")
+
+
+def test_a_scene_is_data(tmp_path, opened):
+    """No name in it is opened, nothing in it is run."""
+    (tmp_path / "secret").write_text("1\n2\n3\n")
+    for path, value in (
+        ("road.profile", str(tmp_path / "secret")),
+        ("road.profile", {"kind": "heights", "values": str(tmp_path / "secret")}),
+        ("road.profile", {"kind": "file", "path": str(tmp_path / "secret")}),
+        ("road.profile", {"kind": "heights", "values": [], "path": str(tmp_path / "secret")}),
+        ("road.softness", f"open({str(tmp_path / 'touched')!r}, 'w')"),
+        ("fleet.damping", "__import__('os').system('true')"),
+        ("include", str(tmp_path / "secret")),
+        ("duration", "${HOME}"),
+    ):
+        (tmp_path / "a.toml").write_text(tomli_w.dumps(changed(path, value)))
+        opened.clear()
+        refusal(tr.Scene.from_toml, tmp_path / "a.toml")
+        assert [os.path.basename(name) for name in opened] == ["a.toml"]
+    assert sorted(os.listdir(tmp_path)) == ["a.toml", "secret"]
+
+
+@pytest.fixture
+def opened():
+    """Names of the files that are opened, of processes and of compiled code while the test runs."""
+    names, listening = [], [True]
+    watched = {
+        "open": 0,
+        "exec": 0,
+        "compile": 1,
+        "os.system": 0,
+        "subprocess.Popen": 0,
+        "import": 0,
+        "socket.connect": 1,
+    }
+
+    def hook(event, arguments):
+        if listening[0] and event in watched:
+            names.append(str(arguments[watched[event]]))
+
+    sys.addaudithook(hook)  # for good: Python has no way to take it back
+    yield names
+    listening[0] = False
+
+
+def test_what_is_no_file(tmp_path):
+    os.mkfifo(tmp_path / "pipe.toml")  # nobody will ever write to it
+    for path in (tmp_path / "pipe.toml", "/dev/zero"):
+        assert "no regular file" in refusal(tr.Scene.from_toml, path)
 
 
 def test_no_file(tmp_path):

@@ -243,6 +243,9 @@ def test_files_that_are_none_of_ours(results, tmp_path):
             tr.open(tmp_path / f"{name}.nc")
     assert "cannot read" in refusal(tr.open, tmp_path)
     assert "cannot read" in refusal(tr.open, None)
+    os.mkfifo(tmp_path / "pipe.nc")  # nobody will ever write to it
+    assert "no regular file" in refusal(tr.open, tmp_path / "pipe.nc")
+    assert "No such file" in refusal(tr.open, "http://localhost:1/a.nc")
 
 
 def test_scene_missing_or_damaged(results):

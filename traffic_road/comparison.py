@@ -69,7 +69,8 @@ def compare(scene, *, wavenumber=None, tolerance=1e-3, samples=101, progress=Non
     growth, velocity = _rates(scene, cars, continuum, wavenumber, begin, end)
     for name, values in (("growth_rate", growth), ("phase_velocity", velocity)):
         variables[name] = variable(name, "source", values)
-        variables[f"{name}_difference"] = variable(f"{name}_difference", "source", values / values[0] - 1)
+        relative = values / values[0] - 1 if values[0] else np.full_like(values, np.nan)
+        variables[f"{name}_difference"] = variable(f"{name}_difference", "source", relative)
     attributes = provenance(scene, "Corrugation of a road by cars, continuum and theory")
     for ds in (cars, continuum):
         for name in ("numerics", "error_estimate", "wall_time", "updates", "status"):

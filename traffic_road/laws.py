@@ -58,12 +58,15 @@ def checked(name: str, value, *, above=-np.inf, least=-np.inf, below=np.inf) -> 
     bounds = {">": above, ">=": least, "<": below}
     allowed = "finite" + "".join(f" and {sign} {bound:g}" for sign, bound in bounds.items() if np.isfinite(bound))
     allowed += f", at most {LARGEST:g} in size"
+    if above == 0:
+        above = 1 / LARGEST  # so near 0 that its square is nothing
+        allowed += f" and more than {above:g}"
     try:
         array = np.asarray(value)
         if array.dtype.kind not in "iuf":  # True, "1" and 1j are no real numbers
             raise TypeError
         array = array.astype(float)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         raise SceneError(f"{name} = {shown(value)}: must be {allowed}; give a number or an array of numbers") from None
     bad = ~(np.isfinite(array) & (array > above) & (array >= least) & (array < below) & (np.abs(array) <= LARGEST))
     if bad.any():

@@ -12,7 +12,7 @@ import xarray as xr
 from tqdm import tqdm
 
 from .checkpoint import read
-from .errors import SceneError, StabilityError, StoreError, shown
+from .errors import SceneError, StabilityError, StoreError, TrafficRoadError, shown
 from .estimate import error_estimate
 from .health import RUNAWAY, Watch, corrugation, foreseen
 from .keeper import Disk, Job, Memory, guarded
@@ -157,7 +157,7 @@ def _run(keeper, progress, allow_unstable):
             error, method, estimate_time = float("inf"), "none: outside a stability limit", 0.0
         elif status == "ok":
             begin = clock.perf_counter()
-            error, method = error_estimate(scene, name, numerics, last)
+            error, method = _error_of(scene, name, numerics, last)
             if chosen and chosen["model_error"] > 0:
                 error, method = error + chosen["model_error"], f"{method}; the model's own error by the plan"
             estimate_time = clock.perf_counter() - begin
@@ -195,6 +195,16 @@ def _run(keeper, progress, allow_unstable):
     if last.airborne is not None:
         outcome["airborne_passages"] = last.airborne
     return keeper.finish(outcome)
+
+
+def _error_of(scene, name, numerics, last) -> tuple[float, str]:
+    """The estimated error and how it was found; infinite where the run it is compared with fails."""
+    try:
+        with np.errstate(all="ignore"):
+            error, method = error_estimate(scene, name, numerics, last)
+    except TrafficRoadError as failure:
+        return float("inf"), f"none: {failure}"
+    return (error, method) if np.isfinite(error) else (float("inf"), f"none: {method} diverged")
 
 
 def _collect(keeper, module, times, numerics, progress, outside) -> str:

@@ -73,13 +73,18 @@ def to_si(ds: xr.Dataset, scales: Scales) -> xr.Dataset:
     """
     if not isinstance(scales, Scales):
         raise SceneError(f"to_si: scales = {shown(scales)}: must be Scales(speed, frequency, vehicles_per_day)")
+    if not isinstance(ds, xr.Dataset):
+        raise SceneError(f"to_si: {shown(ds)} is no Dataset; give the one that simulate returned")
     if ds.attrs.get("unit_system") == "SI":
         raise SceneError("to_si: the Dataset is in SI units already; give the one that simulate returned")
-    if "passages_per_time" not in ds.attrs:
-        raise SceneError("to_si: attribute 'passages_per_time' is missing; give a result of simulate or compare")
+    if "passages_per_time" not in ds.attrs or "time" not in ds.coords or ds["time"].dtype.kind not in "iuf":
+        raise SceneError(
+            "to_si: attribute 'passages_per_time' or coordinate 'time' is missing; give a result of simulate or compare"
+        )
     # passages at a fixed point per unit of time, from the scene that the Dataset carries
-    passages = ds["time"].values * float(ds.attrs["passages_per_time"])
-    second = float(ds.attrs["passages_per_time"]) * SECONDS_PER_DAY / scales.vehicles_per_day
+    rate = finite("passages_per_time", ds.attrs["passages_per_time"], above=0)
+    passages = ds["time"].values * rate
+    second = rate * SECONDS_PER_DAY / scales.vehicles_per_day
     units = {
         LENGTH: (scales.length, "m"),
         HEIGHT: (scales.height, "m"),
@@ -92,7 +97,8 @@ def to_si(ds: xr.Dataset, scales: Scales) -> xr.Dataset:
         if values.attrs.get("scale") in units:
             factor, unit = units[values.attrs["scale"]]
             attributes = {key: value for key, value in values.attrs.items() if key != "scale"} | {"units": unit}
-            out[name] = (values.dims, values.values * factor, attributes)
+            with np.errstate(all="ignore"):  # what is no number stays none
+                out[name] = (values.dims, values.values * factor, attributes)
     out["time"].attrs["long_name"] = "time of traffic"
     out = out.assign_coords(passages=("time", passages, {"units": "1", "long_name": "passages at a fixed point"}))
     out.attrs["unit_system"] = "SI"

@@ -196,7 +196,12 @@ class Scene:
     def from_toml(cls, path) -> Scene:
         """The scene in the TOML file at `path`; SceneError if it is missing, broken or not a scene."""
         try:
-            data = tomllib.loads(Path(path).read_text(encoding="utf-8"))
+            path = Path(path)
+            if (
+                path.exists() and not path.is_file() and not path.is_dir()
+            ):  # a pipe waits for a writer, /dev/zero never ends
+                raise OSError("it is no regular file")
+            data = tomllib.loads(path.read_text(encoding="utf-8"))
         except (OSError, ValueError, TypeError, RecursionError) as error:
             # ValueError: broken TOML, not UTF-8, a NUL in the path; RecursionError: brackets in thousands
             reason = getattr(error, "strerror", None) or error

@@ -67,15 +67,22 @@ def variable(name: str, dims, values) -> xr.Variable:
     return xr.Variable(dims, values, describe(name))
 
 
-def provenance(scene: Scene, title: str) -> dict:
-    """Dataset attributes that say what was run, by what, when."""
+def origin() -> dict:
+    """Dataset attributes that say by what a file was written, when, and by which conventions."""
     command = shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]]).encode("ascii", "backslashreplace").decode()
-    attributes = {
+    return {
         "Conventions": "CF-1.11",
-        "title": title,
         "source": f"traffic_road {VERSION}",
         "history": f"{datetime.now(UTC):%Y-%m-%dT%H:%M:%SZ} {command}",
         "references": "J. A. Both, D. C. Hong and D. A. Kurtze, Corrugation of roads, Physica A 301 (2001) 545-559",
+    }
+
+
+def provenance(scene: Scene, title: str) -> dict:
+    """Dataset attributes that say what was run, by what, when."""
+    attributes = {
+        **origin(),
+        "title": title,
         "schema": SCHEMA,
         "scene": json.dumps(scene.to_dict()),
         "passages_per_time": 1.0 / scene.headway_time,
@@ -222,6 +229,8 @@ def write_blocks(path, template: xr.Dataset, count: int, blocks) -> None:
 def open_dataset(path) -> xr.Dataset:
     """A file that this package wrote, read whole into memory (the file is closed). StoreError for any other file."""
     try:
+        if not stat.S_ISREG(os.stat(path).st_mode):  # a pipe would wait for a writer; an address is no file either
+            raise OSError("it is no regular file")
         with xr.open_dataset(path, engine="netcdf4", decode_times=False) as stored:
             ds = stored.load()
     except Exception as error:  # damaged bytes take the readers beneath by surprise in many ways

@@ -15,10 +15,12 @@ import numpy as np
 from scipy import fft
 from scipy.special import ive
 
+from ..errors import SceneError
 from .scheme import Scheme, refuse_beyond
 
 LONGEST_BAND = 128  # half-width in nodes beyond which the transform is cheaper
 ROUNDING = 1e-16
+MOST_TERMS = 1_000_000  # Chebyshev polynomials, each with two transforms of the road
 TAIL = 5e-11  # what the band may leave out of a kernel whose sum is 1
 
 
@@ -76,11 +78,18 @@ def relax_law(height: np.ndarray, law, interval: float, length: float) -> np.nda
     reach = 0.5 * interval * float(np.max(diffusivity)) * -curvature[-1]
     if reach == 0:
         return height
+    if not np.isfinite(reach):  # a law that overflows, on a road that runs away
+        return np.full_like(height, np.nan)
 
     def scaled(heights):  # the operator, shifted and scaled to [-1, 1]
         return heights + interval / reach * diffusivity * bend(heights)
 
     terms = int(np.ceil(np.sqrt(2 * reach * 36) + 36 / np.log1p(36 / reach) + 2))
+    if terms > MOST_TERMS:
+        raise SceneError(
+            f"Road.diffusivity: up to {diffusivity.max():.3g}, over dx^2 = {(length / nodes) ** 2:.3g} it takes {terms:.1e} "
+            f"transforms to relax the road once, must be at most {MOST_TERMS:.0e}; use fewer nodes or a lower diffusivity"
+        )
     weights = ive(np.arange(terms + 1), reach)  # exp(-reach) I_n(reach)
     before, now = height, scaled(height)
     total = weights[0] * before + 2 * weights[1] * now

@@ -98,11 +98,13 @@ def dispersion_leading(k, *, softness, diffusivity, damping, hardening_rate=0.0)
     Needs alpha << 2 Gamma^2; at the paper's own Fig. 5 it is off by tens of per cent.
     """
     k, softness, diffusivity, damping, beta = _arguments(k, softness, diffusivity, damping, hardening_rate)
-    if np.any((damping == 0) & (np.abs(k) == 1) & (softness > 0)):
+    with np.errstate(all="ignore"):
+        sigma = -beta - diffusivity * k**2 - softness * response(1j * k, damping)
+    if not np.isfinite(sigma).all():
         raise SceneError(
-            "damping = 0: undamped cars resonate with k = 1, where sigma is infinite; give them damping > 0"
+            f"damping = {damping.min():g}: undamped cars resonate with k = 1, where sigma is infinite; give them damping"
         )
-    return -beta - diffusivity * k**2 - softness * response(1j * k, damping)
+    return sigma
 
 
 def mode_matrix(k: float, fleet, *, softness, diffusivity, hardening_rate=0.0) -> np.ndarray:

@@ -15,7 +15,7 @@ from ..laws import Constant, finite
 from ..schemes.oscillator import propagator
 from .dispersion import fleet_dispersion
 
-MOST_ROWS = 2000  # of the matrix: half a minute for its eigenvalues
+MOST_ROWS = 800  # of the matrix: some seconds for its eigenvalues
 
 
 def sweep_map(*, headway, rows, hold, softness, car) -> np.ndarray:

@@ -22,10 +22,11 @@ import xarray as xr
 from scipy.optimize import brentq
 
 from ..errors import SceneError
-from ..laws import checked, finite, together
+from ..laws import checked, finite, together, whole
 from .dispersion import dispersion
 
 GRAVITY = 9.81  # m/s^2
+MOST_POINTS = 10_000_000  # of a curve
 
 
 def gain(k, damping):
@@ -76,9 +77,8 @@ def stability_boundary(damping, points: int = 401) -> xr.Dataset:
     Only the physical part: both are >= 0, no other wavenumber grows. Its slope d(hardening)/d(diffusivity) is -k^2.
     SceneError unless damping > 0 and points >= 2.
     """
-    damping = finite("damping", damping, above=0)
-    if not isinstance(points, (int, np.integer)) or points < 2:
-        raise SceneError(f"points = {points!r}: must be a whole number >= 2")
+    damping = finite("damping", checked("damping", damping, above=0))
+    points = whole("points", points, 2, MOST_POINTS)
     low, high = _ends(damping)
     k = np.linspace(np.sqrt(low), np.sqrt(high), points)
     diffusivity, hardening = _boundary(k**2, damping)
@@ -275,7 +275,13 @@ def _fastest_exact(softness, diffusivity, damping, rate):
     ends = (1e-4 - 1) / damping, softness / (2 * damping) / damping
     k = 1 + damping * np.sinh(np.linspace(*np.arcsinh(ends), 1001))
     slope = slope_at(k)
-    maxima = [brentq(slope_at, k[i], k[i + 1], xtol=1e-15) for i in np.flatnonzero((slope[:-1] > 0) & (slope[1:] <= 0))]
+
+    def maximum(low, high):
+        if slope_at(low) <= 0 or slope_at(high) > 0:  # one wave at a time rounds otherwise than all at once
+            return low if slope_at(low) <= 0 else high
+        return brentq(slope_at, low, high, xtol=1e-15)
+
+    maxima = [maximum(k[i], k[i + 1]) for i in np.flatnonzero((slope[:-1] > 0) & (slope[1:] <= 0))]
     maxima = np.array([0.0, *maxima])
     sigma = dispersion(maxima, **road)
     best = np.argmax(sigma.real)
