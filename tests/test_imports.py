@@ -29,14 +29,16 @@ RANK = {
     "checkpoint": 5,
     "keeper": 6,
     "run": 8,
-    "sweep": 9,
+    "measures": 8,
+    "sweeps": 9,
+    "sweep_command": 10,
     "analysis": 5,
     "comparison": 9,
     "plots": 10,
     "cli": 11,
     "": 0,  # traffic_road/__init__.py: names only, loaded when asked for
 }
-PACKAGES = {"schemes", "theory", "models"}
+PACKAGES = {"schemes", "theory", "models", "sweeps"}
 # what the rank would allow and the house rules do not: physics knows no files, schemes no scenes, plots do not simulate
 FORBIDDEN = {
     ("models", "scene"),
@@ -47,7 +49,7 @@ FORBIDDEN = {
     ("theory", "profiles"),
     ("plots", "run"),
     ("plots", "models"),
-    ("plots", "sweep"),
+    ("plots", "sweeps"),
     ("plots", "estimate"),
     ("analysis", "models"),
     ("analysis", "schemes"),

@@ -24,6 +24,7 @@ _PUBLIC = {
     "phase_velocity": "analysis",
     "coarse_grain": "analysis",
     "compare": "comparison",
+    "sweep": "sweeps",
     "TrafficRoadError": "errors",
     "SceneError": "errors",
     "StabilityError": "errors",

@@ -9,6 +9,7 @@ import warnings
 from pathlib import Path
 
 from .errors import SceneError, StabilityError, StoreError, TrafficRoadError, shown
+from .sweep_command import add_arguments as add_sweep_arguments
 
 BAD_INPUT, FAILED_RUN = 2, 1
 PICTURES = (".png", ".pdf", ".svg")
@@ -97,6 +98,12 @@ def _parser() -> argparse.ArgumentParser:
     plan.add_argument("--tolerance", type=float, default=1e-3, help="relative error of the corrugation (default 1e-3)")
     plan.set_defaults(command=_plan)
 
+    sweep = commands.add_parser("sweep", help="run a scene with many values of its fields")
+    sweep.add_argument("scene", metavar="SCENE", help=_SCENE_HELP)
+    add_sweep_arguments(sweep)
+    _add_numerics(sweep)
+    sweep.set_defaults(command=_sweep)
+
     plot = commands.add_parser("plot", help="draw a stored result")
     plot.add_argument("file", metavar="FILE", help="netCDF file of `run` or `compare`")
     plot.add_argument("-o", "--output", metavar="PICTURE", help="default: FILE with the ending .png")
@@ -105,7 +112,7 @@ def _parser() -> argparse.ArgumentParser:
     presets = commands.add_parser("presets", help="list the named scenes, or print one as TOML")
     presets.add_argument("name", nargs="?", help="the scene to print")
     presets.set_defaults(command=_presets)
-    for command in (compare, run, plan, plot, presets):
+    for command in (compare, run, plan, sweep, plot, presets):
         command.add_argument("--debug", action="store_true", default=argparse.SUPPRESS, help=argparse.SUPPRESS)
     return parser
 
@@ -290,6 +297,16 @@ def _plan(options) -> int:
 
     print(plan(_scene(options.scene), options.tolerance))
     return 0
+
+
+def _sweep(options) -> int:
+    scene = _scene(options.scene)
+    _refuse_output(options)
+    from .sweep_command import run
+
+    ds = run(scene, options, _given(options), _complain)
+    _say_written(options.output)
+    return FAILED_RUN if ds.attrs["failed"] == ds.attrs["points"] else 0
 
 
 def _plot(options) -> int:

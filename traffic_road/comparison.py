@@ -11,6 +11,7 @@ import xarray as xr
 from .analysis import coarse_grain, mean_rates, mode
 from .errors import SceneError, shown
 from .laws import Constant, finite
+from .measures import fastest_wave, frozen_laws, linear_stage
 from .models import model
 from .profiles import whole_waves
 from .run import simulate
@@ -27,8 +28,6 @@ SOURCES = (
     "continuum dispersion relation",
     "leading order",
 )
-# the cars' own oscillation decays as exp(-Gamma omega t); after this many times 1/(Gamma omega) it is gone
-TRANSIENTS = 10.0
 
 
 def compare(scene, *, wavenumber=None, tolerance=1e-3, samples=101, progress=None, **numerics) -> xr.Dataset:
@@ -65,7 +64,7 @@ def compare(scene, *, wavenumber=None, tolerance=1e-3, samples=101, progress=Non
     for name in ("car_height", "contact_force"):
         variables[f"{name}_at_car"] = variable(name, ("time", "car"), cars[name].values)
     variables["car_position"] = cars.car_position.variable
-    begin, end = _linear_stage(scene, cars)
+    begin, end = linear_stage(scene, cars)
     growth, velocity = _rates(scene, cars, continuum, wavenumber, begin, end)
     for name, values in (("growth_rate", growth), ("phase_velocity", velocity)):
         variables[name] = variable(name, "source", values)
@@ -82,44 +81,9 @@ def compare(scene, *, wavenumber=None, tolerance=1e-3, samples=101, progress=Non
     return xr.Dataset(variables, coordinates, attributes)
 
 
-def fastest_wave(scene) -> float:
-    """The wavenumber that grows fastest by the continuum's theory, of those that the road has at the start.
-
-    SceneError for a flat road.
-    """
-    highest = scene.road.profile.highest_wave(scene.road.length)
-    wave = np.abs(np.fft.rfft(scene.road.profile.sample(scene.road.length, 2 * highest + 1)))[1:]
-    if not wave.any():
-        raise SceneError(
-            "profile: a flat road has no wave to compare; give it one, for instance Sine(1e-3, wavenumber)"
-        )
-    present = np.flatnonzero(wave > 1e-9 * wave.max()) + 1
-    k = 2 * np.pi * present / scene.road.length
-    softness, diffusivity, _ = _frozen(scene, 0.0)
-    sigma = fleet_dispersion(k, scene.fleet, softness=softness, diffusivity=diffusivity)
-    return float(k[np.argmax(sigma.real)])
-
-
-def _frozen(scene, height):
-    """softness, diffusivity and hardening rate of the settling road at one mean height."""
-    softness = float(scene.road.softness(height))
-    rate = float(scene.road.softness.derivative(height)) * float(np.mean(scene.fleet.per_car("mass")))
-    return softness, float(scene.road.diffusivity(height)), rate
-
-
-def _linear_stage(scene, cars):
-    """Begin and end of the stage of exponential growth."""
-    times = cars.time.values
-    decay = float(np.min(scene.fleet.per_car("damping") * scene.fleet.per_car("frequency")))
-    airborne = np.flatnonzero((cars.contact_force.values <= 0).any(axis=1)) if scene.lift_off else np.array([], int)
-    end = times[airborne[0] - 1] if airborne.size and airborne[0] > 1 else times[-1]
-    begin = min(TRANSIENTS / decay if decay > 0 else np.inf, 0.5 * end)
-    return float(times[np.argmin(np.abs(times - begin))]), float(end)
-
-
 def _rates(scene, cars, continuum, wavenumber, begin, end):
     middle = float(cars.road_height.sel(time=(begin + end) / 2, method="nearest").mean())
-    softness, diffusivity, hardening_rate = _frozen(scene, middle)
+    softness, diffusivity, hardening_rate = frozen_laws(scene, middle)
     coefficients = {"softness": softness, "diffusivity": diffusivity, "hardening_rate": hardening_rate}
     fleet = scene.fleet
     columns = [np.unique(fleet.per_car(name)) for name in ("speed", "frequency", "damping", "mass")]

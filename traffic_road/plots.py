@@ -7,8 +7,8 @@ import xarray as xr
 from matplotlib.figure import Figure
 
 from .analysis import mode
-from .comparison import fastest_wave
 from .errors import StoreError
+from .measures import fastest_wave
 from .store import replace_file, scene_of
 
 BLACK, ORANGE, SKY, GREEN, BLUE, RED, PURPLE = (
@@ -27,6 +27,8 @@ def save_figure(figure: Figure, path) -> None:
 
 def plot(ds: xr.Dataset) -> Figure:
     """The figure that suits a Dataset of `simulate` or `compare`: amplitude, space and time, final road."""
+    if "sweep" in ds.attrs:
+        raise StoreError("a sweep has no picture of its own; draw its variables, for instance ds.growth_rate.plot()")
     return compare_figure(ds) if "source" in ds.dims else run_figure(ds)
 
 

@@ -18,6 +18,7 @@ from .laws import finite
 SECONDS_PER_DAY = 86400.0
 # the scale of a dimensionless value, as its variable's attribute names it
 LENGTH, HEIGHT, TIME, RATE, VELOCITY = "v/omega_0", "g/omega_0^2", "1/omega_0", "omega_0", "v"
+SINK_RATE = "g/omega_0"
 
 
 @dataclass(frozen=True)
@@ -91,6 +92,7 @@ def to_si(ds: xr.Dataset, scales: Scales) -> xr.Dataset:
         TIME: (second, "s"),
         RATE: (1 / second, "s-1"),
         VELOCITY: (scales.length / second, "m s-1"),
+        SINK_RATE: (scales.height / second, "m s-1"),
     }
     out = ds.copy()
     for name, values in ds.variables.items():

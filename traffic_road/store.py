@@ -19,7 +19,7 @@ import numpy as np
 import xarray as xr
 
 from .errors import StoreError, TrafficRoadError, shown
-from .scales import HEIGHT, LENGTH, RATE, TIME, VELOCITY
+from .scales import HEIGHT, LENGTH, RATE, SINK_RATE, TIME, VELOCITY
 from .scene import Scene
 
 SCHEMA = 1
@@ -45,6 +45,12 @@ VARIABLES = {
     "source": ("where a growth rate comes from", None),
     "growth_rate_difference": ("growth rate relative to that of the cars, minus 1", None),
     "phase_velocity_difference": ("phase velocity relative to that of the cars, minus 1", None),
+    "wavenumber": ("wavenumber of the wave that is measured, times v/omega_0", None),
+    "sink_rate": ("rate at which the mean height of the road falls", SINK_RATE),
+    "airborne": ("share of the contact forces that are not above zero", None),
+    "error_estimate": ("relative error of the corrugation at the end, by the equations of its model", None),
+    "updates": ("road-node updates done", None),
+    "status": ("whether the run is whole", None),
 }
 AXES = {"x": "X"}  # not time: axis T promises a date, and dimensionless or elapsed time has none
 
@@ -53,7 +59,7 @@ def describe(name: str) -> dict:
     """CF attributes of a variable of the table."""
     long_name, scale = VARIABLES[name]
     attributes = {"long_name": long_name}
-    if name not in ("model", "source"):
+    if name not in ("model", "source", "status"):
         attributes["units"] = "1"
     if scale is not None:
         attributes["scale"] = scale

@@ -107,24 +107,33 @@ def dispersion_leading(k, *, softness, diffusivity, damping, hardening_rate=0.0)
     return sigma
 
 
-def mode_matrix(k: float, fleet, *, softness, diffusivity, hardening_rate=0.0) -> np.ndarray:
-    """d/dt of (H, Z_1, P_1, ..., Z_n, P_n) for one wave and the fleet's n kinds of car: (2n + 1, 2n + 1), complex."""
+def mode_matrix(k, fleet, *, softness, diffusivity, hardening_rate=0.0) -> np.ndarray:
+    """The linear system of one wave, d/dt (H, Z_1, P_1, ...) = matrix @ (H, Z_1, P_1, ...), in the resting frame.
+
+    For the continuum without clip and the fleet's n kinds of car: (2n + 1, 2n + 1), complex.
+    """
     columns = np.stack([fleet.per_car(name) for name in ("speed", "frequency", "damping", "mass")], axis=1)
     distinct, count = np.unique(columns, axis=0, return_counts=True)
-    share = count / fleet.count
-    speed, omega, damping, mass = distinct.T
-    size = 2 * len(distinct) + 1
-    matrix = np.zeros((size, size), dtype=complex)
+    laws = {"softness": softness, "diffusivity": diffusivity, "hardening_rate": hardening_rate}
+    return kinds_matrix(k, count / fleet.count, *distinct.T, **laws)
+
+
+def kinds_matrix(k, share, speed, omega, damping, mass, *, softness, diffusivity, hardening_rate=0.0) -> np.ndarray:
+    """`mode_matrix` of many waves, (..., 2n + 1, 2n + 1), for n kinds of car: share, speed, ..., mass (..., n)."""
+    k, loss = np.asarray(k, dtype=float), hardening_rate + diffusivity * np.square(k)
+    press = np.asarray(softness)[..., None] * share * mass * omega**2
+    along = k[..., None] * speed
+    size = 2 * press.shape[-1] + 1
+    matrix = np.zeros((*np.broadcast_shapes(along.shape, press.shape)[:-1], size, size), dtype=complex)
     z, p = np.arange(1, size, 2), np.arange(2, size, 2)
-    press = softness * share * mass * omega**2
-    matrix[0, 0] = -hardening_rate - diffusivity * k**2 - press.sum()
-    matrix[0, z] = press
-    matrix[z, z] = -1j * speed * k - 2 * damping * omega
-    matrix[z, p] = 1.0
-    matrix[z, 0] = 2 * damping * omega
-    matrix[p, p] = -1j * speed * k
-    matrix[p, z] = -(omega**2)
-    matrix[p, 0] = omega**2
+    matrix[..., 0, 0] = -loss - press.sum(axis=-1)
+    matrix[..., 0, z] = press
+    matrix[..., z, z] = -1j * along - 2 * damping * omega
+    matrix[..., z, p] = 1.0
+    matrix[..., z, 0] = 2 * damping * omega
+    matrix[..., p, p] = -1j * along
+    matrix[..., p, z] = -(omega**2)
+    matrix[..., p, 0] = omega**2
     return matrix
 
 
