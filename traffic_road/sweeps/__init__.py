@@ -54,12 +54,13 @@ def sweep(
     growth_rate, phase_velocity, amplitude (of one wave), sink_rate, airborne; see `measures` for what each is.
     wavenumber: of the wave that is measured; None for that of the profile or the fastest growing one that it has.
 
-    model, tolerance, numerics: as in `simulate`; "linear" takes all points at once through the closed form (see
-    `linear_columns`), 10^5 of them in seconds. samples: as in `simulate`; None for 101, or more where the wave would turn
-    too far between two. output: netCDF file. Points that are finished are kept in OUTPUT.sweep until that file is
-    complete: the same call goes on where one was interrupted. workers: processes on this machine, None for as many as
-    there are cores, each with one thread. client: a distributed.Client, or the address of its scheduler, to compute on a
-    Dask cluster. progress: True, False, None for a bar in a terminal, or a function that is given the fraction done.
+    model, tolerance, numerics: as in `simulate`; "linear" takes all points at once through the closed form in the
+    continuum limit, where the number of cars does not count (see `linear_columns`), 10^5 of them in seconds. samples: as
+    in `simulate`; None for 101, or more where the wave would turn too far between two. output: netCDF file. Points that
+    are finished are kept in OUTPUT.sweep until that file is complete: the same call goes on where one was interrupted.
+    workers: processes on this machine, None for as many as there are cores, each with one thread. client: a
+    distributed.Client, or the address of its scheduler, to compute on a Dask cluster. progress: True, False, None for a
+    bar in a terminal, or a function that is given the fraction done.
 
     Dataset over one dimension per path (dots become underscores): the measures, wavenumber, status ("ok", where a run
     diverged, or the error of a scene that cannot be run), model, error_estimate, updates; NaN, "" and 0 where a point
@@ -109,7 +110,10 @@ def _task(scene, over, measure, wavenumber, members, samples, model, tolerance, 
             f"model = {shown(model)}: must be one of {', '.join(dict.fromkeys(('auto', 'linear', *MODELS)))}"
         )
     if numerics:
-        known = () if model == "linear" else module_of("cars" if model == "auto" else model).numerics(scene, {})
+        used = {"linear": (), "auto": ("cars", "continuum")}.get(model, (model,))
+        known = list(
+            dict.fromkeys(key for name in used for key in (*module_of(name).numerics(scene, {}), "allow_unstable"))
+        )
         wrong = [name for name in numerics if name not in known]
         if wrong:
             raise SceneError(f"{wrong[0]}: not a parameter of the {model} model; it takes {', '.join(known) or 'none'}")
@@ -219,4 +223,8 @@ def _assemble(task, identity, columns) -> xr.Dataset:
         "status": "ok" if not bad.any() else f"{int(bad.sum())} of {bad.size} points failed, see status",
         "sweep": json.dumps(identity),
     }
+    if task.model == "linear":
+        attributes["comment"] = (
+            "small waves of the continuum, laws and hardening rate frozen at the start; no error estimate"
+        )
     return xr.Dataset(variables, coordinates, attributes)

@@ -1,5 +1,7 @@
 """All points of a sweep at once by linear theory: small waves of the continuum, laws frozen, nothing stepped.
 
+The linear model of `simulate` knows an even fleet's headway, too: matrices of its own for every scene, and slower by far.
+
 What a scene is made of (ring and profile, softness, diffusivity, fleet, duration) is looked at once for each combination
 of its own values; the points, their product, are arrays. A wave is a small linear system (`kinds_matrix`), whose
 eigenvectors say how much of each root there is in the start.
