@@ -9,23 +9,23 @@ from __future__ import annotations
 import numpy as np
 
 from .laws import Constant
-from .models import cars, linear
+from .models import linear
 from .models.continuum_state import FEW_NODES, FEW_NODES_VARYING, Kinds, constant
 
-FIXED = 0.7e-3  # of any run: scene to samples
+FIXED = {"linear": 0.7e-3, "continuum": 0.35e-3, "cars": 0.6e-3}  # of any run: scene to samples
 CALL = 4e-6  # of a compiled sweep or relaxation of one headway
 UPDATE = {1: 0.8e-9, 3: 1.2e-9, 5: 1.6e-9}  # a node crossed, by the hold
-LAW = 20e-9  # the same where the softness varies
+LAW = 80e-9  # the same where the softness varies
 ANY_ORDER = 220e-9  # the same from a heap, car by car
-RELAX = 15e-9  # a node relaxed, constant diffusivity
-RELAX_LAW = 100e-9  # a node and a polynomial's degree
+RELAX = 25e-9  # a node relaxed, constant diffusivity
+RELAX_LAW = 500e-9  # a node and a polynomial's degree
 
 
-def of_cars(scene, numerics: dict) -> float:
+def of_cars(scene, numerics: dict, even: bool) -> float:
+    """even: identical cars, evenly spaced over whole nodes."""
     road, nodes, hold = scene.road, numerics["nodes"], numerics["hold"]
     headways = scene.duration / scene.headway_time
     varies = not isinstance(road.softness, Constant)
-    even = cars.even_start(scene, nodes) is not None
     update = (LAW if varies else UPDATE[hold]) if even else ANY_ORDER
     sweep = CALL + nodes * update
     relax = 0.0
@@ -35,18 +35,18 @@ def of_cars(scene, numerics: dict) -> float:
         relax = CALL + nodes * RELAX_LAW * (1 + np.sqrt(2 * reach))
     elif road.diffusivity.value > 0:
         relax = CALL + nodes * RELAX
-    return FIXED + headways * (sweep + relax / numerics["relax_every"])
+    return FIXED["cars"] + headways * (sweep + relax / numerics["relax_every"])
 
 
-def of_linear(scene, numerics: dict, waves: int) -> float:
+def of_linear(scene, numerics: dict, waves: int, even: bool) -> float:
     """`waves`: of the profile, the uniform one included."""
-    if not linear.is_even(scene):
+    if not even:
         size = 2 * len(Kinds.of(scene.fleet).speed) + 2
-        return FIXED + waves * (5e-6 + 2e-8 * size**3)
+        return FIXED["linear"] + waves * (5e-6 + 2e-8 * size**3)
     size = numerics["nodes"] / scene.fleet.count + 3 + linear.HOLD
     headways = max(2.0, scene.duration / scene.headway_time)
     products = 1.5 * np.log2(headways) + 2
-    return FIXED + waves * (30e-6 + products * (2e-6 + 0.6e-9 * size**3))
+    return FIXED["linear"] + waves * (30e-6 + products * (2e-6 + 0.6e-9 * size**3))
 
 
 def of_continuum(scene, numerics: dict, leaps: bool) -> float:
@@ -54,8 +54,8 @@ def of_continuum(scene, numerics: dict, leaps: bool) -> float:
     nodes, kinds = numerics["nodes"], len(Kinds.of(scene.fleet).speed)
     build = nodes * (4e-6 + 2e-8 * (2 * kinds + 4) ** 3)
     if leaps:
-        return FIXED + build
+        return FIXED["continuum"] + build
     steps = scene.duration / numerics["step"]
     few = nodes <= (FEW_NODES if constant(scene.road) else FEW_NODES_VARYING)
     step = nodes * (25e-9 * nodes if few else 1.7e-6) * (1 + 0.5 * kinds)
-    return FIXED + 2 * build + steps * (10e-6 + step)
+    return FIXED["continuum"] + 2 * build + steps * (10e-6 + step)

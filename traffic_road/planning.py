@@ -12,11 +12,12 @@ import numpy as np
 from . import costs
 from .errors import SceneError, StabilityError, shown
 from .laws import finite
-from .models import linear, model
+from .models import MODELS, continuum, linear, model
 from .predict import ByRuns, ByTheory, constant_laws, whole_headways
 from .scene import Scene
 
 ROWS = (4, 6, 8, 12, 16, 24, 32, 48, 64, 96, 128, 192, 256, 384, 512, 1024, 2048)  # nodes a headway that are tried
+HOLD = 3  # linear is as cheap only where it is as good; quintic no better where wheels leave steps
 INTERVALS = (4, 2, 1)  # headways from one relaxation to the next; only divisors of the duration
 STEPS = (4.0, 2.0, 1.0, 0.5, 0.25, 0.125)  # of the continuum where it needs any
 SAFE = 0.7  # of the tolerance: predicted errors are right to about so much
@@ -77,20 +78,19 @@ def plan(scene, tolerance: float = 1e-3, **numerics) -> Plan:
     tolerance = finite("tolerance", tolerance, above=0)
     for name in sorted(set(numerics) - set(KEYWORDS)):
         raise SceneError(f"{name}: not a parameter of any model; they take {', '.join(KEYWORDS)}")
+    models = _that_take(scene, numerics)
     lost = linear.takes_off(scene, scene.duration) if constant_laws(scene) else None
-    theory = constant_laws(scene) and lost is None and linear.is_even(scene)
-    if theory:
-        predicted = ByTheory(scene)
-        options = _by_theory(scene, numerics, predicted)
+    even = linear.is_even(scene)
+    if constant_laws(scene) and lost is None and even:
+        predicted = ByTheory(scene, tolerance)
+        options = _by_theory(scene, models, numerics, predicted)
     else:
         predicted = ByRuns(scene, tolerance)
-        options = _by_runs(scene, numerics, predicted, lost)
-    if not options:
-        _refuse(scene, numerics)
-    chosen, error, tried = _cheapest(options, tolerance)
+        options = _by_runs(scene, models, numerics, predicted, lost)
+    chosen, error, tried = _cheapest(scene, options, tolerance)
     return Plan(
         chosen.model,
-        chosen.numerics,
+        model(chosen.model).numerics(scene, chosen.numerics),
         *error,
         chosen.cost,
         tolerance,
@@ -99,7 +99,22 @@ def plan(scene, tolerance: float = 1e-3, **numerics) -> Plan:
     )
 
 
-def _cheapest(options: list[Option], tolerance: float):
+def _that_take(scene, given: dict) -> set[str]:
+    """The models that take what is given, with the rest at its default; the error of the one that comes nearest if none."""
+    found = set()
+    for name in MODELS:
+        try:
+            model(name).numerics(scene, given)
+        except (SceneError, StabilityError):
+            if given:
+                continue
+        found.add(name)
+    if not found:
+        model("continuum" if "step" in given else "cars").numerics(scene, given)
+    return found
+
+
+def _cheapest(scene, options: list[Option], tolerance: float):
     """The first, by cost, whose error is small enough, or the one of least error; its error; the others' by model."""
     tried: dict = {}
     known: list = []
@@ -110,6 +125,7 @@ def _cheapest(options: list[Option], tolerance: float):
         if tried.get(option.model, (0, 0))[1] > SAFE * tolerance:
             continue  # the error that is the model's own stays however fine
         try:
+            model(option.model).numerics(scene, option.numerics)
             error = option.error()
         except (SceneError, StabilityError):
             continue
@@ -120,73 +136,73 @@ def _cheapest(options: list[Option], tolerance: float):
             return option, error, tried
     least = min((error[0] for _, error in known), default=np.inf)
     if not np.isfinite(least):
-        return next((option for option in options if option.model == "cars"), options[0]), (np.inf, 0.0), tried
+        rest = sorted((option.model != "cars", n) for n, (option, _) in enumerate(known))
+        return (known[rest[0][1]][0] if known else options[0]), (np.inf, 0.0), tried
     return *next((option, error) for option, error in known if error[0] <= NEARLY * least), tried
 
 
-def _usable(scene, name: str, given: dict, *trials: dict) -> list[dict]:
-    """The numerics of a model, what is given kept, that it takes for this scene; without repeats."""
-    found: list[dict] = []
-    for trial in trials:
-        try:
-            numerics = model(name).numerics(scene, {**trial, **given})
-        except (SceneError, StabilityError):
-            continue
-        if numerics not in found:
-            found.append(numerics)
-    return found
+def _options(name: str, models: set, trials: list[dict], given: dict, cost: Callable, error: Callable) -> list[Option]:
+    """Of the trials of a model, what is given kept, without repeats; none if it is not one of `models`."""
+    kept: list[dict] = []
+    for trial in trials if name in models else []:
+        numerics = {**trial, **given}
+        if numerics not in kept:
+            kept.append(numerics)
+    return [Option(name, numerics, cost(numerics), lambda numerics=numerics: error(numerics)) for numerics in kept]
 
 
-def _cars(scene, given, holds) -> list[dict]:
+def _cars(scene) -> list[dict]:
     headways = whole_headways(scene)
-    intervals = [n for n in INTERVALS if headways % n == 0]
-    trials = [
-        {"nodes": rows * scene.fleet.count, "hold": hold, "relax_every": n}
+    return [
+        {"nodes": rows * scene.fleet.count, "hold": HOLD, "relax_every": n}
         for rows in ROWS
-        for hold in holds
-        for n in intervals
+        for n in INTERVALS
+        if headways % n == 0
     ]
-    return _usable(scene, "cars", given, *trials)
 
 
-def _by_theory(scene, given, theory: ByTheory) -> list[Option]:
+def _by_theory(scene, models, given, theory: ByTheory) -> list[Option]:
     count = scene.fleet.count
-    options = []
-    for numerics in _usable(scene, "linear", given, *({"nodes": rows * count} for rows in ROWS)):
-        rows = numerics["nodes"] // count
-        cost = costs.of_linear(scene, numerics, theory.folded)
-        options.append(Option("linear", numerics, cost, lambda rows=rows: (theory.linear(rows), 0.0)))
-    for numerics in _usable(scene, "continuum", given, {"nodes": max(16, 2 * theory.highest + 2)}):
-        cost = costs.of_continuum(scene, numerics, theory.surely_linear)
-        options.append(Option("continuum", numerics, cost, lambda: (theory.continuum, theory.continuum)))
-    for numerics in _cars(scene, given, (3,)):
-        if numerics["nodes"] % count == 0:
-            cost = costs.of_cars(scene, numerics)
-            options.append(Option("cars", numerics, cost, lambda numerics=numerics: (theory.cars(numerics), 0.0)))
-    return options
+    rows = [rows for rows in ROWS if theory.least <= rows <= linear.MOST_ROWS]
+    return [
+        *_options(
+            "linear", models, [{"nodes": n * count} for n in rows], given,
+            lambda numerics: costs.of_linear(scene, numerics, theory.folded, True),
+            lambda numerics: (theory.linear(numerics["nodes"] // count), 0.0),
+        ),
+        *_options(
+            "continuum", models, [{"nodes": max(16, 2 * theory.highest + 2), "step": STEPS[0]}], given,
+            lambda numerics: costs.of_continuum(scene, numerics, theory.surely_linear),
+            lambda numerics: (theory.continuum, theory.continuum),
+        ),
+        *_options(
+            "cars", models, _cars(scene), given,
+            lambda numerics: costs.of_cars(scene, numerics, numerics["nodes"] % count == 0),
+            lambda numerics: (theory.cars(numerics), 0.0),
+        ),
+    ]  # fmt: skip
 
 
-def _by_runs(scene, given, runs: ByRuns, lost) -> list[Option]:
-    options = []
-    for numerics in _cars(scene, given, (3,)):
-        cost = costs.of_cars(scene, numerics)
-        options.append(Option("cars", numerics, cost, lambda numerics=numerics: (runs.cars(numerics), 0.0)))
-    if constant_laws(scene) and lost is None:
-        for numerics in _usable(scene, "linear", given, {}):
-            cost = costs.of_linear(scene, numerics, runs.waves)
-            options.append(Option("linear", numerics, cost, lambda n=numerics: (runs.other("linear", n),) * 2))
-        return options  # the continuum would be the same
-    for numerics in _usable(scene, "continuum", given, *({"step": step} for step in STEPS)):
-        cost = costs.of_continuum(scene, numerics, False)
-        options.append(Option("continuum", numerics, cost, lambda n=numerics: runs.continuum(n)))
-    return options
-
-
-def _refuse(scene, given) -> None:
-    """No model takes what is given: the error of the one that takes these keywords."""
-    name = "continuum" if "step" in given else "cars"
-    model(name).numerics(scene, given)
-    raise SceneError(f"{', '.join(given)}: no model takes these for this scene; name the model")
+def _by_runs(scene, models, given, runs: ByRuns, lost) -> list[Option]:
+    options = _options(
+        "cars", models, _cars(scene), given,
+        lambda numerics: costs.of_cars(scene, numerics, runs.even and numerics["nodes"] % scene.fleet.count == 0),
+        lambda numerics: (runs.cars(numerics), 0.0),
+    )  # fmt: skip
+    if constant_laws(scene) and lost is None and "linear" in models:  # the continuum would be the same
+        return options + _options(
+            "linear", models, [linear.numerics(scene, {})], given,
+            lambda numerics: costs.of_linear(scene, numerics, runs.waves, False),
+            lambda numerics: (runs.other("linear", numerics),) * 2,
+        )  # fmt: skip
+    if "continuum" not in models:
+        return options
+    nodes = continuum.numerics(scene, {})["nodes"]
+    return options + _options(
+        "continuum", models, [{"nodes": nodes, "step": step} for step in STEPS], given,
+        lambda numerics: costs.of_continuum(scene, numerics, False),
+        runs.continuum,
+    )  # fmt: skip
 
 
 def _reason(predicted, chosen, error, tolerance, lost, tried) -> str:

@@ -13,7 +13,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import cached_property
-from itertools import pairwise
 
 import numpy as np
 
@@ -28,6 +27,7 @@ STRONGEST = 12  # waves that stand for all of a road
 FINEST = 32  # rows of the finest matrices, beyond which their error is extrapolated
 PIECE_CARS, PIECE_WAVES = 48, 8  # a piece of a long noisy road that stands for all of it has at least so many
 ENOUGH = 0.35  # of the tolerance: a difference of two coarse runs below which a third is not needed
+MOST_LEVELS, MOST_NODES = 6, 20_000  # of coarse runs of an uneven fleet
 FINE_STEP = 0.5  # of the continuum, where only its model is in question
 HARDLY = 1e-13  # error below which nothing can be told from rounding
 
@@ -51,11 +51,12 @@ def whole_headways(scene, times: int = 1) -> int:
     return max(1, round(scene.duration / scene.headway_time / times)) * times
 
 
-def order(coarse: float, fine: float, least: float, most: float) -> float:
-    """The order that two differences of runs, each at twice the resolution of the last, tell; within limits."""
+def order(differences: list[float], least: float, most: float) -> float:
+    """The order that differences of runs, each at twice the resolution of the last, tell; within limits."""
+    coarse, fine = differences[0], differences[-1]
     if not (fine > HARDLY and np.isfinite(coarse)):
         return least
-    return float(np.clip(np.log2(max(coarse, fine) / fine), least, most))
+    return float(np.clip(np.log2(coarse / fine) / (len(differences) - 1), least, most))
 
 
 class ByTheory:
@@ -63,8 +64,8 @@ class ByTheory:
 
     words = "linear theory: evenly spaced cars, constant laws, and no car takes off"
 
-    def __init__(self, scene):
-        self.scene, self.count = scene, scene.fleet.count
+    def __init__(self, scene, tolerance: float):
+        self.scene, self.count, self.tolerance = scene, scene.fleet.count, tolerance
         self.least = max(1, -(-(2 * scene.road.profile.highest_wave(scene.road.length) + 1) // self.count))
         field = linear.MeanField(scene)
         end = whole_headways(scene) * scene.headway_time
@@ -93,15 +94,17 @@ class ByTheory:
     @cached_property
     def _levels(self):
         """Rows, and the roads on them, each twice as fine as the last; then their errors and order."""
-        rows = [max(4, self.least) * 2**n for n in range(8)]
-        rows = [r for r in rows if r <= FINEST] or rows[:1]
-        rows.append(2 * rows[-1])
+        rows = [max(4, self.least), 2 * max(4, self.least)]
         roads = [self._road(r) for r in rows]
-        differences = [relative(fine, coarse) for coarse, fine in pairwise(roads)]
-        rate = order(differences[-2], differences[-1], 0.4, 2.0) if len(differences) > 1 else 1.0
+        differences = [relative(roads[1], roads[0])]
+        while differences[-1] > ENOUGH * self.tolerance and rows[-1] <= FINEST:
+            rows.append(2 * rows[-1])
+            roads.append(self._road(rows[-1]))
+            differences.append(relative(roads[-1], roads[-2]))
+        rate = order(differences[-2:], 0.4, 2.0) if len(differences) > 1 else 1.0
         # what is left of the finest, by the order: all errors against what that tells of the limit
         left = differences[-1] / (2**rate - 1)
-        return rows, roads, [d + left for d in differences] + [left], rate
+        return rows, roads, [sum(differences[n:]) + left for n in range(len(rows))], rate
 
     @property
     def truth(self):
@@ -155,7 +158,7 @@ class ByRuns:
     @property
     def words(self) -> str:
         part = "" if self.piece is self.scene else f" of {self.piece.fleet.count} of the {self.scene.fleet.count} cars"
-        number = {2: "a pair of", 3: "three"}[len(self._levels[0])]
+        number = len(self._levels[0])
         return f"{number} coarse runs of cars{part}: no theory holds for all of the scene"
 
     def _of_piece(self, nodes: int) -> int:
@@ -195,10 +198,21 @@ class ByRuns:
         if first <= ENOUGH * self.tolerance:  # even at order 1 the better one is as good as that
             return nodes, [2 * first, first], 1.0
         nodes.append(2 * nodes[-1])
-        second = relative(self._cars(nodes[2]), self._cars(nodes[1]))
-        rate = order(first, second, 0.5, 2.0)
-        left = second / (2**rate - 1)
-        return nodes, [first + second + left, second + left, left], rate
+        differences = [first, relative(self._cars(nodes[2]), self._cars(nodes[1]))]
+        # an uneven fleet errs by where its wheels stand between nodes, in no regular way: come nearer to the tolerance
+        while not self.even and self._too_far(nodes, differences[-1]):
+            nodes.append(2 * nodes[-1])
+            differences.append(relative(self._cars(nodes[-1]), self._cars(nodes[-2])))
+        rate = order(differences, 0.5, 2.0)
+        left = differences[-1] / (2**rate - 1)
+        errors = [left + sum(differences[n:]) for n in range(len(nodes))]
+        return nodes, errors, rate
+
+    def _too_far(self, nodes, difference) -> bool:
+        """Whether the tolerance asks for more than 4 times these nodes, as many as two more runs would not tire."""
+        return (
+            difference > 4 * self.tolerance and len(nodes) < MOST_LEVELS and nodes[-1] < MOST_NODES and difference < 1
+        )
 
     def _grid(self, nodes: float) -> float:
         levels, errors, rate = self._levels
@@ -212,8 +226,8 @@ class ByRuns:
         error = self._grid(nodes)
         if nodes >= 2 * self.least:
             error = max(error, self._grid(nodes / 2) - error)
-        if numerics["relax_every"] > 1:
-            error += relative(self._cars(self.least), self._cars(self.least, numerics["relax_every"]))
+        if numerics["relax_every"] > 1:  # of order 2: a run's own estimate, by twice the interval, says 3 times this
+            error += 3 * relative(self._cars(self.least), self._cars(self.least, numerics["relax_every"]))
         return error
 
     @cached_property
