@@ -17,6 +17,7 @@ Run: python experiments/planning.py [--quick]        (about 8 minutes; 10 s)
 
 import json
 import time
+import warnings
 
 import numpy as np
 import xarray as xr
@@ -194,6 +195,7 @@ def judge(scene, tolerance: float) -> dict:
 
 def main() -> None:
     chosen = options(__doc__)
+    warnings.filterwarnings("ignore", message=".*beyond the saturation limit")  # some of them are, and grow
     random = np.random.default_rng(np.random.SeedSequence(SEED))
     rows = []
     for kind, number in EACH.items():

@@ -17,7 +17,7 @@ CALL = 4e-6  # of a compiled sweep or relaxation of one headway
 UPDATE = {1: 0.8e-9, 3: 1.2e-9, 5: 1.6e-9}  # a node crossed, by the hold
 LAW = 80e-9  # the same where the softness varies
 ANY_ORDER = 220e-9  # the same from a heap, car by car
-RELAX = 25e-9  # a node relaxed, constant diffusivity
+RELAX = 40e-9  # a node relaxed, constant diffusivity
 RELAX_LAW = 500e-9  # a node and a polynomial's degree
 
 

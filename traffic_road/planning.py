@@ -13,14 +13,14 @@ from . import costs
 from .errors import SceneError, StabilityError, shown
 from .laws import finite
 from .models import MODELS, continuum, linear, model
-from .predict import ByRuns, ByTheory, constant_laws, whole_headways
+from .predict import ByRuns, ByTheory, Predicted, constant_laws, whole_headways
 from .scene import Scene
 
 ROWS = (4, 6, 8, 12, 16, 24, 32, 48, 64, 96, 128, 192, 256, 384, 512, 1024, 2048)  # nodes a headway that are tried
 HOLD = 3  # linear is as cheap only where it is as good; quintic no better where wheels leave steps
 INTERVALS = (4, 2, 1)  # headways from one relaxation to the next; only divisors of the duration
 STEPS = (4.0, 2.0, 1.0, 0.5, 0.25, 0.125)  # of the continuum where it needs any
-SAFE = 0.7  # of the tolerance: predicted errors are right to about so much
+SAFE = 0.8  # of the tolerance: predicted errors are right to about so much
 LONG = 20.0  # seconds beyond which no tolerance is worth a finer grid, unless the coarsest takes as long
 NEARLY = 2.0  # times the least error: where no resolution will do, the cheapest that is nearly as good
 KEYWORDS = ("nodes", "hold", "relax_every", "step")
@@ -32,13 +32,15 @@ class Plan:
 
     error: predicted relative error of the corrugation at the end (L2, mean removed) against the discrete scene itself,
     cars on a fine grid; model_error: the part of it that no resolution removes. cost: predicted seconds of one core for the
-    run alone. planning_time: seconds that the plan has taken.
+    run alone. pair_ratio: by how many times its error the run will differ from one at half the resolution, if that is
+    known. planning_time: seconds that the plan has taken.
     """
 
     model: str
     numerics: dict
     error: float
     model_error: float
+    pair_ratio: float | None
     cost: float
     tolerance: float
     reason: str
@@ -56,7 +58,7 @@ class Plan:
 
 
 class Option(NamedTuple):
-    """One way to run a scene: `error()` predicts (error, part of the model), at a cost of its own."""
+    """One way to run a scene: `error()` gives a Predicted, at a cost of its own."""
 
     model: str
     numerics: dict
@@ -137,7 +139,7 @@ def _cheapest(scene, options: list[Option], tolerance: float):
     least = min((error[0] for _, error in known), default=np.inf)
     if not np.isfinite(least):
         rest = sorted((option.model != "cars", n) for n, (option, _) in enumerate(known))
-        return (known[rest[0][1]][0] if known else options[0]), (np.inf, 0.0), tried
+        return (known[rest[0][1]][0] if known else options[0]), Predicted(np.inf), tried
     return *next((option, error) for option, error in known if error[0] <= NEARLY * least), tried
 
 
@@ -168,17 +170,17 @@ def _by_theory(scene, models, given, theory: ByTheory) -> list[Option]:
         *_options(
             "linear", models, [{"nodes": n * count} for n in rows], given,
             lambda numerics: costs.of_linear(scene, numerics, theory.folded, True),
-            lambda numerics: (theory.linear(numerics["nodes"] // count), 0.0),
+            lambda numerics: Predicted(theory.linear(numerics["nodes"] // count)),
         ),
         *_options(
             "continuum", models, [{"nodes": max(16, 2 * theory.highest + 2), "step": STEPS[0]}], given,
             lambda numerics: costs.of_continuum(scene, numerics, theory.surely_linear),
-            lambda numerics: (theory.continuum, theory.continuum),
+            lambda numerics: Predicted(theory.continuum, theory.continuum),
         ),
         *_options(
             "cars", models, _cars(scene), given,
             lambda numerics: costs.of_cars(scene, numerics, numerics["nodes"] % count == 0),
-            lambda numerics: (theory.cars(numerics), 0.0),
+            lambda numerics: Predicted(theory.cars(numerics)),
         ),
     ]  # fmt: skip
 
@@ -187,13 +189,13 @@ def _by_runs(scene, models, given, runs: ByRuns, lost) -> list[Option]:
     options = _options(
         "cars", models, _cars(scene), given,
         lambda numerics: costs.of_cars(scene, numerics, runs.even and numerics["nodes"] % scene.fleet.count == 0),
-        lambda numerics: (runs.cars(numerics), 0.0),
+        runs.cars,
     )  # fmt: skip
     if constant_laws(scene) and lost is None and "linear" in models:  # the continuum would be the same
         return options + _options(
             "linear", models, [linear.numerics(scene, {})], given,
             lambda numerics: costs.of_linear(scene, numerics, runs.waves, False),
-            lambda numerics: (runs.other("linear", numerics),) * 2,
+            lambda numerics: Predicted(*[runs.other("linear", numerics)] * 2),
         )  # fmt: skip
     if "continuum" not in models:
         return options
@@ -209,7 +211,7 @@ def _reason(predicted, chosen, error, tolerance, lost, tried) -> str:
     lines = [f"by {predicted.words}"]
     if lost is not None:
         lines.append(f"cars take off at about time {lost:.3g}, by the growth of small waves")
-    for name, (least, own) in tried.items():
+    for name, (least, own, _) in tried.items():
         if name != chosen.model and least > SAFE * tolerance:
             lines.append(f"{name} would be off by {least:.1e}" + (", whatever its resolution" if own else ""))
     if not np.isfinite(error[0]):

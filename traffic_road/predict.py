@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
@@ -27,6 +28,7 @@ STRONGEST = 12  # waves that stand for all of a road
 FINEST = 32  # rows of the finest matrices, beyond which their error is extrapolated
 PIECE_CARS, PIECE_WAVES = 48, 8  # a piece of a long noisy road that stands for all of it has at least so many
 ENOUGH = 0.35  # of the tolerance: a difference of two coarse runs below which a third is not needed
+CAUTION = 0.7  # of a predicted difference of two runs: the less it is, the larger the error that it tells
 MOST_LEVELS, MOST_NODES = 6, 20_000  # of coarse runs of an uneven fleet
 FINE_STEP = 0.5  # of the continuum, where only its model is in question
 HARDLY = 1e-13  # error below which nothing can be told from rounding
@@ -57,6 +59,17 @@ def order(differences: list[float], least: float, most: float) -> float:
     if not (fine > HARDLY and np.isfinite(coarse)):
         return least
     return float(np.clip(np.log2(coarse / fine) / (len(differences) - 1), least, most))
+
+
+class Predicted(NamedTuple):
+    """Relative error; the part of it that is the model's own; what a run differs by from one at half the resolution.
+
+    The last in units of its error, on the safe side; None where the plan knows no better than the model's PAIR_RATIO.
+    """
+
+    error: float
+    model: float = 0.0
+    pair: float | None = None
 
 
 class ByTheory:
@@ -220,15 +233,15 @@ class ByRuns:
         slope = rate if nodes < levels[-1] else min(rate, 1.0)  # on fine grids steps at the wheels are all that is left
         return errors[levels.index(near)] * (near / nodes) ** slope
 
-    def cars(self, numerics: dict) -> float:
-        """Error of cars, or what a run's own estimate, by half the nodes, will say where that is more."""
-        nodes = self._of_piece(numerics["nodes"])
+    def cars(self, numerics: dict) -> Predicted:
+        """Error of cars, and by how many times it they will differ from a run at half the resolution."""
+        nodes, every = self._of_piece(numerics["nodes"]), numerics["relax_every"]
         error = self._grid(nodes)
-        if nodes >= 2 * self.least:
-            error = max(error, self._grid(nodes / 2) - error)
-        if numerics["relax_every"] > 1:  # of order 2: a run's own estimate, by twice the interval, says 3 times this
-            error += 3 * relative(self._cars(self.least), self._cars(self.least, numerics["relax_every"]))
-        return error
+        differs = self._grid(nodes / 2) - error if nodes >= 2 * self.least else error
+        if every > 1:  # of order 2: twice the interval makes 4 times the error
+            relaxed = relative(self._cars(self.least), self._cars(self.least, every))
+            error, differs = error + relaxed, differs + 3 * relaxed
+        return Predicted(error, 0.0, CAUTION * differs / error if error > 0 else None)
 
     @cached_property
     def _truth(self) -> tuple:
@@ -254,10 +267,9 @@ class ByRuns:
         """Error of the continuum however fine: of one with small steps."""
         return self.other("continuum", continuum.numerics(self.scene, {"step": FINE_STEP}))
 
-    def continuum(self, numerics: dict) -> tuple[float, float]:
-        """Error of the continuum with these numerics, and the part of it that is the model's."""
+    def continuum(self, numerics: dict) -> Predicted:
         error = self.other("continuum", numerics)
-        return error, min(error, self.model_error) if error > ENOUGH * self.tolerance else error
+        return Predicted(error, min(error, self.model_error) if error > ENOUGH * self.tolerance else error)
 
 
 def piece(scene):

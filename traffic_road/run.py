@@ -157,7 +157,8 @@ def _run(keeper, progress, allow_unstable):
             error, method, estimate_time = float("inf"), "none: outside a stability limit", 0.0
         elif status == "ok":
             begin = clock.perf_counter()
-            error, method = _error_of(scene, name, numerics, last)
+            known = chosen["pair_ratio"] if chosen and numerics == chosen["numerics"] else None
+            error, method = _error_of(scene, name, numerics, last, known)
             if chosen and chosen["model_error"] > 0:
                 error, method = error + chosen["model_error"], f"{method}; the model's own error by the plan"
             estimate_time = clock.perf_counter() - begin
@@ -197,11 +198,11 @@ def _run(keeper, progress, allow_unstable):
     return keeper.finish(outcome)
 
 
-def _error_of(scene, name, numerics, last) -> tuple[float, str]:
+def _error_of(scene, name, numerics, last, known) -> tuple[float, str]:
     """The estimated error and how it was found; infinite where the run it is compared with fails."""
     try:
         with np.errstate(all="ignore"):
-            error, method = error_estimate(scene, name, numerics, last)
+            error, method = error_estimate(scene, name, numerics, last, known)
     except TrafficRoadError as failure:
         return float("inf"), f"none: {failure}"
     return (error, method) if np.isfinite(error) else (float("inf"), f"none: {method} diverged")
