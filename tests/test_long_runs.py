@@ -78,7 +78,21 @@ def test_the_file_can_be_read_at_any_moment():
     quick = START.replace(
         "sys.exit", "from traffic_road import keeper; keeper.FIRST = 0.02; keeper.SHARE = 0.5; sys.exit"
     )
-    command = [sys.executable, "-c", quick, "run", "scene.toml", "-o", "out.nc", "--samples", "3001", "--nodes", "64"]
+    command = [
+        sys.executable,
+        "-c",
+        quick,
+        "run",
+        "scene.toml",
+        "--model",
+        "cars",
+        "-o",
+        "out.nc",
+        "--samples",
+        "3001",
+        "--nodes",
+        "64",
+    ]
     seen = []
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as run:
         while run.poll() is None:

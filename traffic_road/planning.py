@@ -17,7 +17,7 @@ from .predict import ByRuns, ByTheory, Predicted, constant_laws, whole_headways
 from .scene import Scene
 
 ROWS = (4, 6, 8, 12, 16, 24, 32, 48, 64, 96, 128, 192, 256, 384, 512, 1024, 2048)  # nodes a headway that are tried
-HOLD = 3  # linear is as cheap only where it is as good; quintic no better where wheels leave steps
+HOLD = 5  # costs little more than linear and is better on the coarsest grids; on fine ones wheels' steps are what errs
 INTERVALS = (4, 2, 1)  # headways from one relaxation to the next; only divisors of the duration
 STEPS = (4.0, 2.0, 1.0, 0.5, 0.25, 0.125)  # of the continuum where it needs any
 SAFE = 0.8  # of the tolerance: predicted errors are right to about so much

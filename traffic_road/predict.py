@@ -61,10 +61,14 @@ def order(differences: list[float], least: float, most: float) -> float:
     return float(np.clip(np.log2(coarse / fine) / (len(differences) - 1), least, most))
 
 
+KNOWN = np.inf
+
+
 class Predicted(NamedTuple):
     """Relative error; the part of it that is the model's own; what a run differs by from one at half the resolution.
 
-    The last in units of its error, on the safe side; None where the plan knows no better than the model's PAIR_RATIO.
+    The last in units of its error, on the safe side; None where the plan knows no better than the model's PAIR_RATIO, KNOWN
+    where it has made the finer runs that tell the error.
     """
 
     error: float
@@ -160,7 +164,7 @@ class ByTheory:
 class ByRuns:
     """Errors by coarse runs: two of cars, one on twice the nodes, a third where the tolerance asks for it; and of others."""
 
-    def __init__(self, scene, tolerance: float, hold: int = 3):
+    def __init__(self, scene, tolerance: float, hold: int = 5):
         self.scene, self.tolerance, self.hold = scene, tolerance, hold
         self.piece = piece(scene)
         self.even = linear.is_even(scene)
@@ -241,6 +245,8 @@ class ByRuns:
         if every > 1:  # of order 2: twice the interval makes 4 times the error
             relaxed = relative(self._cars(self.least), self._cars(self.least, every))
             error, differs = error + relaxed, differs + 3 * relaxed
+        if self.piece is self.scene and nodes < self._levels[0][-1]:  # finer runs have told already
+            return Predicted(error, 0.0, KNOWN)
         return Predicted(error, 0.0, CAUTION * differs / error if error > 0 else None)
 
     @cached_property

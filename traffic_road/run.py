@@ -158,7 +158,10 @@ def _run(keeper, progress, allow_unstable):
         elif status == "ok":
             begin = clock.perf_counter()
             known = chosen["pair_ratio"] if chosen and numerics == chosen["numerics"] else None
-            error, method = _error_of(scene, name, numerics, last, known)
+            if known == np.inf:
+                error, method = chosen["error"], "the plan's runs on this grid and on finer ones"
+            else:
+                error, method = _error_of(scene, name, numerics, last, known)
             if chosen and chosen["model_error"] > 0:
                 error, method = error + chosen["model_error"], f"{method}; the model's own error by the plan"
             estimate_time = clock.perf_counter() - begin
