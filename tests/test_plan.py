@@ -8,7 +8,7 @@ import pytest
 import traffic_road as tr
 from traffic_road.estimate import corrugation_difference
 from traffic_road.models import cars
-from traffic_road.predict import ByRuns, piece
+from traffic_road.predict import ByRuns, piece, takes_off
 
 K = 0.9
 
@@ -77,6 +77,22 @@ def test_lift_off_is_charged_only_where_cars_take_off():
     assert "theory" in tr.plan(small).reason and "no car takes off" in tr.plan(small).reason
     assert "cars take off at about time 0" in tr.plan(large).reason and "coarse runs" in tr.plan(large).reason
     assert tr.plan(replace(large, lift_off=False), 1e-3).model in ("linear", "continuum")
+
+
+def test_lift_off_of_a_hardening_road_is_foreseen():
+    hard = scene(softness=tr.Exponential(0.01, 0.05), amplitude=0.02, headways=800)
+    lost = takes_off(hard)
+    run = tr.simulate(hard, "continuum", samples=201)
+    airborne = float(run.time[np.argmax((run.contact_force <= 0).any("x").values)])
+    assert 0.9 * airborne < lost < 1.1 * airborne and airborne > 100  # harmonics arise, the cars' transient is left out
+    assert (
+        f"cars take off at about time {lost:.3g}, by the growth of small waves on the settling road"
+        in tr.plan(hard).reason
+    )
+    harder = scene(softness=tr.Exponential(0.01, 0.5), amplitude=0.02, headways=800)
+    assert takes_off(harder) is None
+    assert tr.simulate(harder, "continuum", samples=201).contact_force.min() > 0
+    assert "no car takes off" in tr.plan(harder).reason
 
 
 def test_a_loose_continuum_says_what_of_its_error_is_the_models_own():

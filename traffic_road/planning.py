@@ -13,7 +13,7 @@ from . import costs
 from .errors import SceneError, StabilityError, shown
 from .laws import finite
 from .models import MODELS, continuum, linear, model
-from .predict import ByRuns, ByTheory, Predicted, constant_laws, whole_headways
+from .predict import ByRuns, ByTheory, Predicted, constant_laws, takes_off, whole_headways
 from .scene import Scene
 
 ROWS = (4, 6, 8, 12, 16, 24, 32, 48, 64, 96, 128, 192, 256, 384, 512, 1024, 2048)  # nodes a headway that are tried
@@ -81,7 +81,7 @@ def plan(scene, tolerance: float = 1e-3, **numerics) -> Plan:
     for name in sorted(set(numerics) - set(KEYWORDS)):
         raise SceneError(f"{name}: not a parameter of any model; they take {', '.join(KEYWORDS)}")
     models = _that_take(scene, numerics)
-    lost = linear.takes_off(scene, scene.duration) if constant_laws(scene) else None
+    lost = takes_off(scene)
     even = linear.is_even(scene)
     if constant_laws(scene) and lost is None and even:
         predicted = ByTheory(scene, tolerance)
@@ -96,7 +96,7 @@ def plan(scene, tolerance: float = 1e-3, **numerics) -> Plan:
         *error,
         chosen.cost,
         tolerance,
-        _reason(predicted, chosen, error, tolerance, lost, tried),
+        _reason(scene, predicted, chosen, error, tolerance, lost, tried),
         clock.perf_counter() - begin,
     )
 
@@ -207,10 +207,13 @@ def _by_runs(scene, models, given, runs: ByRuns, lost) -> list[Option]:
     )  # fmt: skip
 
 
-def _reason(predicted, chosen, error, tolerance, lost, tried) -> str:
+def _reason(scene, predicted, chosen, error, tolerance, lost, tried) -> str:
     lines = [f"by {predicted.words}"]
+    growth = "small waves" if constant_laws(scene) else "small waves on the settling road"
     if lost is not None:
-        lines.append(f"cars take off at about time {lost:.3g}, by the growth of small waves")
+        lines.append(f"cars take off at about time {lost:.3g}, by the growth of {growth}")
+    elif scene.lift_off and isinstance(predicted, ByRuns):
+        lines.append(f"no car takes off, by the growth of {growth}")
     for name, (least, own, _) in tried.items():
         if name != chosen.model and least > SAFE * tolerance:
             lines.append(f"{name} would be off by {least:.1e}" + (", whatever its resolution" if own else ""))
