@@ -23,6 +23,7 @@ RANK = {
     "estimate": 5,
     "health": 5,
     "costs": 5,
+    "outlook": 5,
     "predict": 6,
     "planning": 7,
     "stream": 5,

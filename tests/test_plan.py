@@ -8,7 +8,8 @@ import pytest
 import traffic_road as tr
 from traffic_road.estimate import corrugation_difference
 from traffic_road.models import cars
-from traffic_road.predict import ByRuns, piece, takes_off
+from traffic_road.outlook import piece, takes_off
+from traffic_road.predict import ByRuns
 
 K = 0.9
 

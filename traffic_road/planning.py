@@ -13,7 +13,8 @@ from . import costs
 from .errors import SceneError, StabilityError, shown
 from .laws import finite
 from .models import MODELS, continuum, linear, model
-from .predict import ByRuns, ByTheory, Predicted, constant_laws, takes_off, whole_headways
+from .outlook import constant_laws, takes_off, whole_headways
+from .predict import ByRuns, ByTheory, Predicted
 from .scene import Scene
 
 ROWS = (4, 6, 8, 12, 16, 24, 32, 48, 64, 96, 128, 192, 256, 384, 512, 1024, 2048)  # nodes a headway that are tried

@@ -1,4 +1,4 @@
-"""What a plan knows before a scene is run: whether cars take off, and the error that a model and its grid will make.
+"""The error that a model and its grid will make on a scene, before it is run.
 
 The truth that errors refer to is the discrete scene: the cars model in the limit of a fine grid, relaxed every headway.
 Relative error of the corrugation: L2 over the road, mean removed, at the end.
@@ -11,31 +11,22 @@ grid's error and, extrapolated, the road itself, with which coarse runs of the c
 
 from __future__ import annotations
 
-from dataclasses import replace
 from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-from scipy.integrate import cumulative_trapezoid
 
 from .errors import SceneError, StabilityError
 from .estimate import corrugation_difference
-from .laws import Constant
 from .models import cars, continuum, linear
-from .profiles import Noise, Sine
-from .scene import Fleet, Road
-from .theory.dispersion import fleet_dispersion, response
-from .theory.settling import settle
+from .outlook import piece, whole_headways
 
 STRONGEST = 12  # waves that stand for all of a road
 FINEST = 32  # rows of the finest matrices, beyond which their error is extrapolated
-PIECE_CARS, PIECE_WAVES = 48, 8  # a piece of a long noisy road that stands for all of it has at least so many
 ENOUGH = 0.35  # of the tolerance: a difference of two coarse runs below which a third is not needed
 CAUTION = 0.7  # of a predicted difference of two runs: the less it is, the larger the error that it tells
 MOST_LEVELS, MOST_NODES = 6, 20_000  # of coarse runs of an uneven fleet
 FINE_STEP = 0.5  # of the continuum, where only its model is in question
-LOOKS = 25  # times at which the settling road is asked for its growth rates
-PEAK = 3.0  # of a noisy road, in root mean squares
 HARDLY = 1e-13  # error below which nothing can be told from rounding
 
 
@@ -47,47 +38,6 @@ def relative(road, other) -> float:
         return 0.0 if not np.ptp(other) > 0 else np.inf
     with np.errstate(all="ignore"):
         return float(np.nan_to_num(corrugation_difference(road, other), nan=np.inf))
-
-
-def constant_laws(scene) -> bool:
-    return all(isinstance(law, Constant) for law in (scene.road.softness, scene.road.diffusivity))
-
-
-def takes_off(scene) -> float | None:
-    """When small waves will have grown until cars take off, by linear theory; None if not within the duration.
-
-    Constant laws: the linear model's own. Else the growth rates of the settling road, its softness, diffusivity and
-    hardening rate as they are at each moment (Both, Hong and Kurtze, Eqs. (12), (20)), summed over time.
-    """
-    if constant_laws(scene) or not scene.lift_off:
-        return linear.takes_off(scene, scene.duration) if scene.lift_off else None
-    road, fleet = scene.road, scene.fleet
-    nodes = 2 * road.profile.highest_wave(road.length) + 1
-    profile = road.profile.sample(road.length, nodes)
-    wave = 2 * np.abs(np.fft.rfft(profile, norm="forward"))[1:]
-    strongest = np.flatnonzero(wave > 0)[np.argsort(-wave[wave > 0])[:STRONGEST]]
-    k, wave = 2 * np.pi / road.length * (strongest + 1), wave[strongest]
-    load = float(np.mean(fleet.per_car("mass")))
-    times = np.linspace(0.0, scene.duration, LOOKS)
-    damping = max(float(np.mean(fleet.per_car("damping"))), 1e-3)
-    settled = settle(road.softness, damping, load * times, height=float(profile.mean()), full=False)
-    rates = []
-    for height, softness in zip(settled.road_height.values, settled.softness.values, strict=True):
-        rate = load * float(road.softness.derivative(height))
-        terms = {"softness": float(softness), "diffusivity": float(road.diffusivity(height)), "hardening_rate": rate}
-        rates.append(fleet_dispersion(k, fleet, **terms).real)
-    grown = cumulative_trapezoid(np.array(rates), times, axis=0, initial=0.0)
-    pressed = np.abs(response(1j * k * np.mean(fleet.per_car("speed") / fleet.per_car("frequency")), damping))
-    with np.errstate(over="ignore"):
-        stretch = wave * pressed * np.exp(grown)
-    peak = np.minimum(stretch.sum(axis=1), PEAK * np.sqrt(np.sum(stretch**2, axis=1) / 2))
-    lost = np.flatnonzero(peak * float(np.mean(fleet.per_car("frequency"))) ** 2 >= 1)
-    return float(times[lost[0]]) if lost.size else None
-
-
-def whole_headways(scene, times: int = 1) -> int:
-    """The duration in headways, a multiple of `times`, at least one."""
-    return max(1, round(scene.duration / scene.headway_time / times)) * times
 
 
 def order(differences: list[float], least: float, most: float) -> float:
@@ -313,24 +263,3 @@ class ByRuns:
     def continuum(self, numerics: dict) -> Predicted:
         error = self.other("continuum", numerics)
         return Predicted(error, min(error, self.model_error) if error > ENOUGH * self.tolerance else error)
-
-
-def piece(scene):
-    """A shorter ring that stands for the scene: one period of a periodic one, or a part of a long noisy one."""
-    road, fleet, count = scene.road, scene.fleet, scene.fleet.count
-    if fleet.position is not None or any(isinstance(getattr(fleet, n), tuple) for n in ("speed", "frequency", "mass")):
-        return scene
-    if isinstance(fleet.damping, tuple):
-        return scene
-    waves = road.profile.highest_wave(road.length)
-    parts = 1
-    if isinstance(road.profile, Sine):
-        parts = int(np.gcd(waves, count))
-    elif isinstance(road.profile, Noise):
-        most = min(count // PIECE_CARS, waves // PIECE_WAVES)
-        parts = max((n for n in range(1, most + 1) if count % n == 0), default=1)
-    if parts == 1:
-        return scene
-    shorter = Road(road.length / parts, road.softness, road.diffusivity, road.profile)
-    one = Fleet(count // parts, fleet.damping, fleet.speed, fleet.frequency, fleet.mass, start=fleet.start)
-    return replace(scene, road=shorter, fleet=one)
