@@ -9,7 +9,7 @@ from scipy.linalg import expm
 
 from traffic_road.schemes.oscillator import settled
 
-LIMIT = 0.5  # seconds after which a run of solve_ivp is given up
+LIMIT = 0.3  # seconds after which a run of solve_ivp is given up
 
 
 def one_wave(case) -> np.ndarray:
