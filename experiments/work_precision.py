@@ -223,6 +223,7 @@ def of_models(name: str, rows: list, reference, quick: bool) -> None:
     for n in (8, 32) if quick else (8, 16, 32, 64):
 
         def closed_form(n=n):
+            linear.takes_off.cache_clear()  # of the run before
             return of_model(linear, case, linear.numerics(case, {"nodes": n * CARS}))
 
         add("linear", f"{n} nodes", closed_form)
@@ -325,18 +326,15 @@ def orders(ds) -> None:
     """Orders in the grid: of the first harmonic of the smooth scene and of the bouncing one, and of the roads."""
     found = []
     for stepper, scheme in STEPPERS.items():
-        pair = []
+        row = []
         for name, what in OF.values():
             mine = (ds.scene == name) & (ds.question == "cars") & (ds.method == stepper) & (ds.reason == "")
             nodes = np.array([float(s.split()[0]) for s in ds.setting.values[mine]])
-            pair.append(fitted(nodes, ds[what].values[mine]))
-        found.append(pair)
-        print(
-            f"{stepper:<38} order {scheme.order}: growth {pair[0]:.2f}, road {pair[1]:.2f}, bouncing road {pair[2]:.2f}"
-        )
-    ds["stepper"] = ("stepper", list(STEPPERS))
-    text = {"long_name": "fitted order in the grid: growth rate and road of the smooth scene, road of the bouncing one"}
-    ds["order"] = (("stepper", "of"), np.array(found), text)
+            row.append(fitted(nodes, ds[what].values[mine]))
+        found.append(row)
+        print(f"{stepper:<38} order {scheme.order}: " + ", ".join(f"{o} {n:.2f}" for o, n in zip(OF, row, strict=True)))
+    ds.coords["stepper"], ds.coords["of"] = ("stepper", list(STEPPERS)), ("of", list(OF))
+    ds["order"] = (("stepper", "of"), np.array(found), {"long_name": "fitted order in the grid"})
 
 
 def check(ds, checked, quick) -> None:
