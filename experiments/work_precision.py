@@ -155,13 +155,13 @@ def of_continuum(name: str, rows: list, quick: bool) -> float:
     def off(height):
         return difference(at_points(height, 64), reference)
 
-    grids = {"smooth": (8,), "resonance": (8,), "hardening": (8, 16), "bouncing": (16, 32, 128)}[name]
+    grids = {"smooth": (8,), "resonance": (8,), "hardening": (8, 16), "bouncing": (16, 32, 64, 128)}[name]
     for nodes in grids[:2] if quick else grids:
         for step in (2.0, 0.5) if quick or name in LINEAR else (16.0, 8.0, 4.0, 2.0, 1.0, 0.5, 0.25):
             seconds, last = best(lambda n=nodes, s=step: of_model(continuum, case, {"nodes": n, "step": s}), 5)
             steps = last.updates // nodes
             chart.add("this package", f"{nodes} nodes, step {step:g}", seconds, off(last.road_height), steps=steps)
-    tolerances = (1e-2, 1e-3, 1e-4, 1e-6) if name == "bouncing" else (1e-2, 1e-4, 1e-6, 1e-8, 1e-10)
+    tolerances = (1e-2, 1e-3, 1e-4, 1e-6) if name == "bouncing" else (1e-2, 1e-4, 1e-6, 1e-8)
     tolerances = (1e-3,) if quick else tolerances
     for method in RIVALS[:1] if quick else RIVALS:
         for nodes in grids[:1] if quick else grids:
@@ -345,12 +345,10 @@ def check(ds, checked, quick) -> None:
         assert max(best_of.values()) < (0.05 if quick else 0.01), (name, best_of)
         # a reference is known better than what is judged by it
         assert quick or checked[name, "cars"] < best_of["cars"], (name, checked, best_of)
-    if (
-        not quick
-    ):  # orders of the first harmonic: the schemes' own on a smooth road while small, about 2 under bouncing cars
-        low = dict(zip(ds.stepper.values, ds.order.sel(of="bouncing wave").values, strict=True))
-        assert all(abs(low[n] - s.order) < 0.15 for n, s in STEPPERS.items() if s.order < 3 and "exact" not in n), low
-        assert all(1.2 < low[n] < 2.4 for n, s in STEPPERS.items() if s.order > 3), low
+    if not quick:  # of the long wave: under bouncing cars, high orders fall to 1 on fine grids, low ones stay
+        found = dict(zip(ds.stepper.values, ds.order.sel(of="bouncing wave").values, strict=True))
+        assert all(abs(found[n] - s.order) < 0.15 for n, s in STEPPERS.items() if s.order < 3), found
+        assert all(0.85 < found[n] < 2.15 for n, s in STEPPERS.items() if s.order > 3), found
     failed = ds.reason.values[ds.reason.values != ""]
     assert any("stable up to" in reason for reason in failed)
 

@@ -49,7 +49,8 @@ def test_rk4_on_a_linear_hold_is_of_order_two():
     assert abs(found - 2) < WIDTH
 
 
-# on a road that bouncing cars leave, kinks take the higher orders down to about 2, unevenly: reported, and pinned loosely
+# on a road that bouncing cars leave, kinks and the steps at the wheels take orders above 2 down to between 1 and 2, unevenly
+# and the more so the finer the grid (experiments/work_precision.py): reported, and pinned loosely
 BOUNCING = {"RK4": (1.3, 2.3), "exact, cubic hold": (1.3, 2.3), "exact, quintic hold": (1.3, 2.3)}
 
 
