@@ -113,7 +113,8 @@ import resource, sys
 import numpy as np
 import traffic_road as tr
 road = tr.Road(2 * np.pi / 0.9, 0.006, 0.01, tr.Sine(1e-3, 0.9))
-ds = tr.simulate(tr.Scene(road, tr.Fleet(8, 0.1), 4000.0), "continuum", samples=int(sys.argv[1]), nodes=512, output="big.nc")
+linear = tr.Scene(road, tr.Fleet(8, 0.1), 4000.0, lift_off=False)  # each sample is one leap
+ds = tr.simulate(linear, "continuum", samples=int(sys.argv[1]), nodes=512, output="big.nc")
 print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss, ds.road_height.nbytes, float(ds.road_height[-1, 3]))
 """
     peaks, values = [], []

@@ -129,8 +129,7 @@ class Disk:
         if self.resumed is not None:
             self.journal = Journal.reopened(self._journal_path(attempt), **self.resumed)
             self.resumed = None
-            for name in filter(None, (self.path, self.output)):
-                clear_unfinished(name)
+            self._clear()
             return
         self.state = self.status = None
         self.elapsed, self.began = 0.0, perf_counter()
@@ -141,10 +140,17 @@ class Disk:
             return
         with _writing(self._journal_path(attempt)):
             self.journal = Journal.new(self._journal_path(attempt))
+        if before is None:
+            self._clear()
         self._checkpoint(None, 0.0)
         if before is not None:
             before.file.close()
             os.unlink(before.name)
+
+    def _clear(self):
+        """Remove what a killed process has left; the journal is locked, so that it is dead."""
+        for name in filter(None, (self.path, self.output)):
+            clear_unfinished(name)
 
     def append(self, sample):
         with _writing(self.journal.name, self._remedy()):
