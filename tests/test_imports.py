@@ -28,6 +28,7 @@ RANK = {
     "planning": 7,
     "stream": 5,
     "checkpoint": 5,
+    "signals": 5,
     "keeper": 6,
     "run": 8,
     "measures": 8,

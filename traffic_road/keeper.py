@@ -12,11 +12,8 @@ finish(outcome)            the Dataset
 
 from __future__ import annotations
 
-import _thread
 import os
 import shlex
-import signal
-import threading
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from time import perf_counter
@@ -26,7 +23,7 @@ import numpy as np
 import xarray as xr
 
 from . import checkpoint
-from .errors import SceneError, StabilityError, StoreError
+from .errors import StoreError
 from .scene import Scene
 from .store import assemble, clear_unfinished, dataset, unwritable
 from .stream import Journal, opened
@@ -34,7 +31,6 @@ from .stream import Journal, opened
 IN_MEMORY = 1 << 26  # bytes of samples up to which the Dataset is given back in memory
 SHARE = 0.05  # of the time, at most, for writing files: the next is written after this many times what the last took
 FIRST = 1.0  # seconds until the first netCDF file
-PATIENCE = 1.2  # seconds after a signal until the run is stopped wherever it is
 
 
 class Job(NamedTuple):
@@ -101,8 +97,8 @@ class Disk:
         self.path = None if path is None else os.path.abspath(path)
         self.attempt, self.elapsed, self.numerics, self.status, self.state = 0, 0.0, None, None, None
         self.journal = self.resumed = None
-        self.signal = self.timer = None
         self.stepping = False  # whether a breath is to come
+        self.stop = False  # whether the run is to end there
         self.kept = None  # the time up to which a checkpoint has what is needed
         self.wrote = self.published = perf_counter()
         self.cost = {"checkpoint": 0.0, "publish": 0.0}
@@ -159,9 +155,9 @@ class Disk:
 
     def breathe(self, breath):
         due = perf_counter() > self.wrote + max(self.every, self.cost["checkpoint"] / SHARE)
-        if self.path is not None and (self.signal is not None or due):
+        if self.path is not None and (self.stop or due):
             self._checkpoint(breath.state(), breath.time)
-        if self.signal is not None:
+        if self.stop:
             raise KeyboardInterrupt(self.farewell())
         self._publish_if_due()
 
@@ -170,7 +166,7 @@ class Disk:
         self.stepping, self.status = False, status
         if self.path is not None:
             self._checkpoint(None, float(self.last.time))
-        if self.signal is not None:
+        if self.stop:
             raise KeyboardInterrupt(self.farewell())
 
     def _checkpoint(self, state, time):
@@ -224,8 +220,6 @@ class Disk:
         return ds
 
     def close(self):
-        if self.timer is not None:
-            self.timer.cancel()
         if self.journal is not None:
             with suppress(OSError):  # a full disk has been complained of already
                 self.journal.file.close()
@@ -267,38 +261,3 @@ def _writing(name, remedy=""):
         raise StoreError(f"{error}{remedy}") from error
     except OSError as error:
         raise StoreError(f"{unwritable(name, error)}{remedy}") from error
-
-
-@contextmanager
-def guarded(disk: Disk):
-    """Let a signal, SIGINT or SIGTERM, stop the run where it can be left, or wherever it is if that is not soon.
-
-    Only in the main thread, as Python has it. KeyboardInterrupt says what was kept.
-    """
-
-    def stop(number, frame):
-        if disk.signal is not None or not disk.stepping:
-            raise KeyboardInterrupt
-        disk.signal = number
-        disk.timer = threading.Timer(PATIENCE, _thread.interrupt_main, (number,))
-        disk.timer.daemon = True
-        disk.timer.start()
-
-    before = {}
-    if threading.current_thread() is threading.main_thread():
-        for number in (signal.SIGINT, signal.SIGTERM):
-            if signal.getsignal(number) not in (signal.SIG_IGN, None):  # None: not of Python, it could not be put back
-                before[number] = signal.signal(number, stop)
-    try:
-        yield
-    except KeyboardInterrupt as stopped:
-        if stopped.args:
-            raise
-        raise KeyboardInterrupt(disk.farewell()) from None
-    except (SceneError, StabilityError):
-        disk.discard()
-        raise
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
-        disk.close()

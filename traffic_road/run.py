@@ -15,12 +15,13 @@ from .checkpoint import read
 from .errors import SceneError, StabilityError, StoreError, TrafficRoadError, shown
 from .estimate import error_estimate
 from .health import RUNAWAY, Watch, corrugation, foreseen
-from .keeper import Disk, Job, Memory, guarded
+from .keeper import Disk, Job, Memory
 from .laws import finite, whole
 from .memory import refuse_beyond_memory
 from .models import Breath, Sample, model
 from .planning import plan
 from .scene import Scene
+from .signals import guarded
 from .store import arguments_of, refuse_unwritable
 
 MOST_SAMPLES = 10_000_000
