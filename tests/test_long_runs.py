@@ -119,7 +119,7 @@ print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss, ds.road_height.nbytes,
 """
     peaks, values = [], []
     for samples in (100, 16000):
-        done = subprocess.run([sys.executable, "-c", script, str(samples)], capture_output=True, text=True, timeout=100)
+        done = subprocess.run([sys.executable, "-c", script, str(samples)], capture_output=True, text=True, timeout=150)
         assert done.returncode == 0, done.stderr
         peak, size, value = done.stdout.split()
         peaks.append(int(peak) * 1024)
@@ -392,7 +392,7 @@ def test_a_full_disk(more):
         "64",
         *more,
     ]
-    full = subprocess.run(command, capture_output=True, text=True, preexec_fn=limited(100_000), timeout=60)
+    full = subprocess.run(command, capture_output=True, text=True, preexec_fn=limited(100_000), timeout=150)
     assert full.returncode == 2 and len(full.stderr.splitlines()) == 1
     assert "cannot write: File too large; make room" in full.stderr
     assert Path("out.nc").read_bytes() == b"old" or tr.open("out.nc").status.startswith("unfinished")

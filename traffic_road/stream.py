@@ -24,6 +24,7 @@ except ImportError:  # Windows: nothing keeps two runs from the same checkpoint 
     flock = None
 
 MAGIC = b"traffic_road samples 1".ljust(32, b"\n")
+VALUES = ("road_height", "car_height", "contact_force", "car_position")
 BLOCK = 1 << 24  # bytes read at a time
 
 
@@ -87,6 +88,7 @@ class Journal:
         fields = [("time", "<f8"), ("updates", "<i8"), ("airborne", "<i8")]
         self.kind = np.dtype(fields + [(name, "<f8", (size,)) for name, size in self.sizes.items()])
         self.record = np.zeros(1, self.kind)
+        self.floats, self.wholes = self.record.view("<f8"), self.record.view("<i8")
 
     @property
     def nbytes(self) -> int:
@@ -94,15 +96,15 @@ class Journal:
 
     def append(self, sample: Sample) -> None:
         """Add a sample. OSError if it cannot be written."""
-        values = {name: getattr(sample, name) for name in ("road_height", "car_height", "contact_force")}
+        values = [sample.road_height, sample.car_height, sample.contact_force]
         if sample.where is not None:
-            values["car_position"] = sample.where
+            values.append(sample.where)
         if self.sizes is None:
-            self.sizes = {name: value.size for name, value in values.items()}
+            self.sizes = {name: value.size for name, value in zip(VALUES, values, strict=False)}
             self._shape()
-        airborne = -1 if sample.airborne is None else sample.airborne
-        for name, value in (values | {"time": sample.time, "updates": sample.updates, "airborne": airborne}).items():
-            self.record[name] = value
+        self.floats[0] = sample.time
+        self.wholes[1], self.wholes[2] = sample.updates, -1 if sample.airborne is None else sample.airborne
+        np.concatenate(values, out=self.floats[3:])
         raw = self.record.view(np.uint8)
         self.file.write(raw)
         self.count, self.crc, self.last = self.count + 1, zlib.crc32(raw, self.crc), sample
@@ -155,8 +157,7 @@ def _locked(path, flags):
 
 
 def _sample(record) -> Sample:
-    names = ("road_height", "car_height", "contact_force", "car_position")
-    fields = [record[name].copy() if name in record.dtype.names else None for name in names]
+    fields = [record[name].copy() if name in record.dtype.names else None for name in VALUES]
     airborne = int(record["airborne"])
     return Sample(float(record["time"]), *fields, int(record["updates"]), None if airborne < 0 else airborne)
 
