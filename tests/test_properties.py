@@ -166,7 +166,11 @@ def sound(ds, may_be_missing=()):
 
 def affordable(scene, name, given):
     """Whether a run is short enough to be tried here; SceneError as `simulate` says it."""
+    if name == "auto":  # it may take any, with numerics of its own
+        return all(affordable(scene, other, {}) for other in ("cars", "continuum"))
     chosen = model(name).numerics(scene, given)
+    if name == "linear":
+        return chosen["nodes"] < WORK
     if name == "continuum":
         return scene.duration / chosen["step"] * chosen["nodes"] < WORK / 20
     updates = scene.duration * float(scene.fleet.per_car("speed").sum()) * chosen["nodes"] / scene.road.length
@@ -225,7 +229,7 @@ SAMPLES = st.one_of(
 
 @given(
     st.one_of(tables(), spoilt(PLAIN)),
-    st.sampled_from(["cars", "continuum"]),
+    st.sampled_from(["cars", "continuum", "linear", "auto"]),
     st.one_of(st.just({}), st.fixed_dictionaries({}, optional=NUMERICS)),
     st.one_of(st.just(3), SAMPLES),
     st.one_of(st.just(1.0), ODD),
