@@ -1,6 +1,5 @@
 """The public checker of the CF conventions, where it is installed (extra `cf`), and the rules that need no checker."""
 
-import importlib.util
 import json
 import re
 
@@ -25,10 +24,6 @@ def check_by_hand(path):
             # axis T, or a date in the units, makes a time coordinate, which must have both
             assert values.attrs.get("axis") != "T" and "since" not in values.attrs.get("units", ""), name
             assert name not in ds.dims or "_FillValue" not in values.encoding, name
-
-
-def installed() -> bool:
-    return importlib.util.find_spec("compliance_checker") is not None
 
 
 def errors(path, folder) -> list[str]:
