@@ -166,6 +166,11 @@ def test_a_run_that_blows_up_outside_a_limit_names_it():
     assert ds.status.startswith("diverged") and "numerical: nodes = 7: omega dx/u = 1 is too coarse" in ds.status
 
 
+def test_the_linear_model_is_not_run_outside_a_limit():
+    with pytest.raises(tr.StabilityError, match="use nodes >= 14"):
+        tr.simulate(coarse(), "linear", nodes=7, allow_unstable=True)
+
+
 def test_a_grid_without_solution_is_refused_all_the_same():
     soft = tr.Scene(tr.Road(16.0, 2.5, 0.0, tr.Sine(1e-3, 2 * np.pi / 16)), tr.Fleet(2, DAMPING), 3000.0)
     with pytest.raises(tr.StabilityError, match=r"no single solution.*use more nodes"):

@@ -1,6 +1,7 @@
 """Models: each is a module with the same five functions, and PAIR_RATIO, found by name in `model`.
 
 numerics(scene, given) -> dict         every parameter, defaults filled in; SceneError or StabilityError if unusable
+unstable_numerics(scene, given)        only where `numerics` raises StabilityError and a run is possible all the same: for study
 coarser(scene, numerics) -> dict       the same at half the resolution, for an error estimate by a pair of runs; or None
 finer(scene, numerics, given) -> dict  the same at twice the resolution, but for what was given
 sample_times(scene, times, numerics)   the times (n,) at which samples will be taken, nearest to those asked for
