@@ -1,15 +1,20 @@
-"""The run of any fleet: car by car in the order of time, in `mixed_kernels`."""
+"""The run of any fleet: units of cars side by side, in the order of passages at every node; see `mixed_order`."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from ..laws import Constant
 from ..schemes import oscillator
-from ..schemes.relaxation import relax_law, relax_transform, symbol
 from . import Breath, Pace, Sample
 from .cars_state import force, kinds, level_of, node_behind, sink_rate, start
-from .mixed_kernels import cross_in_order
+from .mixed_kernels import LANES, coefficients, cross_until, workspace
+from .mixed_order import LENGTH, LEVEL, plan
+from .mixed_relaxation import LineRelaxation
+
+AT_A_TIME = 1_000_000  # passages of a run without relaxation between two moments at which it may be left
+STRETCHES = (8, 4, 2, 1, 1 / 2, 1 / 4, 1 / 8)  # mean headway times that units may last
+# what work costs, in ns: a row of units by its width, a unit, a unit more because of an overtake
+ROW, LANE, UNIT, OVERTAKE = 5.0, 0.35, 50.0, 200.0
 
 
 def mixed_samples(scene, times, left=None, *, nodes, hold, relax_every):
@@ -19,39 +24,38 @@ def mixed_samples(scene, times, left=None, *, nodes, hold, relax_every):
     distinct, kind_of = kinds(fleet)
     speed, frequency, damping, mass = distinct.T
     A, B = oscillator.propagator(dx / speed, frequency, damping, hold)
-    law = scene.road.softness.kernel
-    half = 0.5 * mass * scene.headway / speed
+    kind, value, shape = scene.road.softness.kernel
+    table = coefficients(A, B, 0.5 * mass * scene.headway / speed, frequency**2, value)
     road = scene.road.profile.sample(length, nodes).copy()
     position = fleet.positions(length)
     behind = node_behind(position, dx)
     Z, P, past = start(scene, road, behind % nodes, kind_of, distinct, hold)
-    node = (behind + 1) % nodes
-    first_due = np.maximum(((behind + 1) * dx - position) / speed[kind_of], 0.0)
-    due = first_due.copy()
+    body = np.column_stack((Z, P, past))
+    place = behind + 1
     crossed = np.zeros(fleet.count, dtype=np.int64)
-    heap = np.lexsort((np.arange(fleet.count), due)).astype(np.int64)  # sorted is a heap
-    interval = dx / speed
-    diffusivity = scene.road.diffusivity
-    still = isinstance(diffusivity, Constant) and diffusivity.value == 0
+    first_due = np.maximum((place * dx - position) / speed[kind_of], 0.0)
+    step = (dx / speed)[kind_of]
+    order = np.lexsort((-np.arange(fleet.count), -first_due, place))
+    cars = (order, place, crossed, first_due, step, kind_of, body)
+    plans = (
+        np.empty((5, fleet.count), dtype=np.int64), np.zeros(nodes, dtype=np.int32), np.zeros(1, dtype=np.int64),
+        np.empty((2 * fleet.count, 4), dtype=np.int64), np.empty(2 * fleet.count, dtype=np.int64),
+    )  # fmt: skip
+    work = workspace()
+    # a crossing on the very edge of an interval belongs to it, whatever its rounding
+    slack = 1e-9 * step.min()
+    relax = LineRelaxation(scene.road.diffusivity, length)
+    stretch = _stretch(scene.headway_time, nodes, cars, plans)  # of the start: the same wherever a run goes on from
+    # without relaxation an interval is only what is done at a time
+    interval = scene.headway_time * (max(1, AT_A_TIME // nodes) if relax.still else relax_every)
 
-    factors: dict = {}
-
-    def relax(span):
-        if still:
-            return
-        if not isinstance(diffusivity, Constant):
-            road[:] = relax_law(road, diffusivity, span, length)
-            return
-        if span not in factors:
-            factors[span] = symbol(diffusivity.value * span, length, nodes)
-        road[:] = relax_transform(road, factors[span])
-
-    arrays = {"road": road, "Z": Z, "P": P, "past": past, "node": node, "due": due, "crossed": crossed, "heap": heap}
+    arrays = {"road": road, "body": body, "order": order, "place": place, "crossed": crossed}
 
     def sample(time):
-        pressed = force(scene, past[:, 0], Z, frequency[kind_of], mass[kind_of])
-        where = (node - 1) % nodes * dx
-        return Sample(float(time), road + level, Z + level, pressed, where, updates, airborne)
+        heights, contact = body[:, 0], body[:, 2]
+        pressed = force(scene, contact, heights, frequency[kind_of], mass[kind_of])
+        where = (place - 1) % nodes * dx
+        return Sample(float(time), road + level, heights + level, pressed, where, updates, airborne)
 
     def leave():
         counts = {"taken": taken, "part": i, "updates": updates, "airborne": airborne, "level": level}
@@ -69,28 +73,46 @@ def mixed_samples(scene, times, left=None, *, nodes, hold, relax_every):
     sink, pace = sink_rate(scene), Pace()
     while taken < len(times):
         begin, end = times[taken - 1], times[taken]
-        factors.clear()  # this stretch has its own two spans
-        parts = max(1, round((end - begin) / (relax_every * scene.headway_time)))
+        parts = max(1, round((end - begin) / interval))
         span = (end - begin) / parts
         if i == 0:
-            relax(span / 2)
+            relax(road, span / 2)
         while i < parts:
             i += 1
             until = begin + i * span if i < parts else end
-            # a crossing on the very edge belongs to this interval, whatever its rounding
-            done, lost = cross_in_order(
-                road, until + 1e-9 * interval.min(), heap, due, first_due, crossed, node, Z, P, past, kind_of, A, B,
-                interval, half, frequency**2, law, scene.lift_off,
+            done, lost = cross_until(
+                begin + (i - 1) * span + slack, until + slack, stretch, road, cars, table, plans, work, (0,) * hold,
+                (0,) * kind, (value, shape), scene.lift_off,
             )  # fmt: skip
             updates += done
             airborne += lost
-            relax(span if i < parts else span / 2)
+            relax(road, span if i < parts else span / 2)
             if sink * until // 1 != sink * (until - span) // 1:
                 sunk = level_of(road)
-                for heights in (road, Z, past):
+                for heights in (road, body[:, 0], body[:, 2:]):  # P does not know the level
                     heights -= sunk
                 level += sunk
             if pace.due():
                 yield Breath(float(until), leave, lambda: road)
         yield sample(end)
         taken, i = taken + 1, 0
+
+
+def _stretch(headway_time, nodes, cars, plans) -> float:
+    """How long units last: longer ones cost less a node, until they wait for each other. By a trial of the first."""
+    order, place, crossed, first_due, step, *_ = cars
+    best, stretch = np.inf, STRETCHES[-1] * headway_time
+    for headways in STRETCHES:
+        trial = order.copy(), place.copy(), crossed.copy()
+        units, ranking, total = plan(headways * headway_time, nodes, *trial, first_due, step, *plans)
+        if total < 1:
+            continue
+        units = units[ranking[:total]]
+        place_in_level = np.arange(total) - np.searchsorted(units[:, LEVEL], units[:, LEVEL])
+        first = np.flatnonzero(place_in_level % LANES == 0)
+        width = np.diff(first, append=total)
+        cost = (units[first, LENGTH] * (ROW + LANE * width)).sum() + UNIT * total
+        cost += OVERTAKE * (total - np.count_nonzero(trial[2] > crossed))
+        if cost < best * units[:, LENGTH].sum():
+            best, stretch = cost / units[:, LENGTH].sum(), headways * headway_time
+    return stretch

@@ -1,0 +1,126 @@
+"""Any fleet, side by side, against the same fleet node by node: a heap of cars by the time of their next crossing."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from heap import heap_cars
+
+import traffic_road as tr
+from traffic_road.models import mixed_order
+from traffic_road.models.cars_mixed import mixed_samples
+from traffic_road.models.mixed_relaxation import LineRelaxation
+from traffic_road.schemes.relaxation import relax_transform, symbol
+
+
+def fleet(count, seed, *, speed=1.0, position=None):
+    draw = np.random.default_rng(seed)
+    own = {name: tuple(draw.uniform(low, 2 * low, count)) for name, low in (("damping", 0.2), ("mass", 0.7))}
+    speed = np.broadcast_to(speed, (count,))
+    frequency = draw.uniform(0.7, 1.3, count) * np.minimum(1.0, speed)  # slow cars that the grid still resolves
+    return tr.Fleet(count, speed=tuple(speed), frequency=tuple(frequency), position=position, **own)
+
+
+def scene(cars, *, length, amplitude=2.0, softness=0.02, diffusivity=0.0):
+    wave = tr.Sine(amplitude, 2 * np.pi * round(0.15 * length) / length)
+    return tr.Scene(tr.Road(length, softness, diffusivity, wave), cars, 10.0)
+
+
+def agree(case, headways, **numerics):
+    """Road, cars, the last node of each and both counts at two times; returns the airborne passages."""
+    times = np.array([0.0, 0.37, 1.0]) * headways * case.headway_time
+    numerics = {"relax_every": 1, "hold": 1, **numerics}
+    wanted = heap_cars(case, times, **numerics)
+    found = list(mixed_samples(case, times, **numerics))[1:]
+    dx = case.road.length / numerics["nodes"]
+    for a, (road, height, node, updates, airborne) in zip(found, wanted, strict=True):
+        assert (a.updates, a.airborne) == (updates, airborne)
+        np.testing.assert_array_equal(np.rint(a.where / dx), node)
+        # rounding only: fused multiply-adds in the one and not in the other, over some thousand passages
+        np.testing.assert_allclose(a.road_height, road, atol=1e-12)
+        np.testing.assert_allclose(a.car_height, height, atol=1e-12)
+    assert wanted[-1][3] > 0
+    return wanted[-1][4]
+
+
+DRAW = np.random.default_rng(3)
+CLUSTER = tuple(3 + 0.05 * DRAW.uniform(size=30))  # all in one place: every car overlaps every other
+FLEETS = {  # length of the ring, cars
+    "one car": (5.0, fleet(1, 0)),
+    "even, per-car coefficients": (30.0, fleet(30, 1)),
+    "random headways": (40.0, fleet(40, 2, position=tuple(DRAW.uniform(0, 40, 40)))),
+    "a cluster": (30.0, fleet(30, 3, position=CLUSTER)),
+    "mixed speeds": (40.0, fleet(40, 4, speed=DRAW.uniform(0.7, 1.4, 40))),
+    "a cluster of mixed speeds": (30.0, fleet(30, 5, speed=DRAW.uniform(0.7, 1.4, 30), position=CLUSTER)),
+    "one laps the others": (20.0, fleet(6, 6, speed=(1.0, 0.1, 0.01, 0.1, 0.1, 0.02))),
+    "a thousandfold apart": (12.0, fleet(12, 7, speed=np.geomspace(1e-3, 1.0, 12))),
+    # on nodes, speeds in whole ratios: cars meet on nodes and on the edges of intervals, at the same time to rounding
+    "ties": (
+        17.0,
+        fleet(17, 8, speed=DRAW.choice((0.5, 1.0, 1.25, 2.0), 17), position=tuple(DRAW.permutation(17) + 0.0)),
+    ),
+}
+
+
+@pytest.mark.parametrize("name", FLEETS)
+def test_side_by_side_is_node_by_node(name):
+    length, cars = FLEETS[name]
+    nodes = round(7 * length) if name != "ties" else 68
+    assert agree(scene(cars, length=length), 9.3, nodes=nodes) > 0
+
+
+@pytest.mark.parametrize("name", ["random headways", "a cluster of mixed speeds", "ties"])
+@pytest.mark.parametrize("every", [1, 5])
+def test_with_relaxation_between(name, every):
+    length, cars = FLEETS[name]
+    agree(scene(cars, length=length, diffusivity=0.02), 11.0, nodes=round(4 * length), relax_every=every)
+
+
+@pytest.mark.parametrize(("hold", "softness"), [(5, 0.02), (1, tr.Bounded(0.02, 3.0))])
+def test_other_holds_and_laws(hold, softness):
+    length, cars = FLEETS["a cluster of mixed speeds"]
+    assert agree(scene(cars, length=length, softness=softness), 9.3, nodes=210, hold=hold) > 0
+
+
+def test_without_lift_off():
+    length, cars = FLEETS["mixed speeds"]
+    assert agree(replace(scene(cars, length=length), lift_off=False), 9.3, nodes=280) == 0
+
+
+def test_units_of_one_level_touch_no_common_node():
+    # and at every node the levels follow the times at which cars are due there: what `plan` promises, read from its units
+    count, nodes = 60, 600
+    draw = np.random.default_rng(0)
+    place, crossed = np.sort(draw.permutation(nodes)[:count]), np.zeros(count, dtype=np.int64)
+    step = 1 / draw.uniform(0.5, 2.0, count)
+    first_due, start = step * draw.uniform(size=count), place.copy()
+    spare, touched = np.empty((5, count), dtype=np.int64), np.zeros(nodes, dtype=np.int32)
+    room = np.empty((2, 4), dtype=np.int64)  # too short: it must grow
+    units, ranking, total = mixed_order.plan(
+        8.0, nodes, np.arange(count), place, crossed, first_due, step, spare, touched, np.zeros(1, dtype=np.int64),
+        np.tile(room, (count, 1)), np.empty(count, dtype=np.int64),
+    )  # fmt: skip
+    assert total > count  # overtakes there are
+    visits = [[] for _ in range(nodes)]
+    gone = np.zeros(count, dtype=np.int64)
+    for car, first, length, level in units[ranking[:total]]:
+        assert first == (start[car] + gone[car]) % nodes  # each car goes on where it stopped
+        for _ in range(length):
+            due = first_due[car] + gone[car] * step[car]
+            visits[(start[car] + gone[car]) % nodes].append((due, car, level))
+            gone[car] += 1
+    np.testing.assert_array_equal(gone, crossed)
+    np.testing.assert_array_equal(crossed, np.floor((8.0 - first_due) / step + 1))
+    for at_node in visits:
+        levels = [level for _, _, level in sorted(at_node)]
+        assert levels == sorted(set(levels))
+
+
+@pytest.mark.parametrize("nodes", [64, 5000])
+def test_band_in_a_line_is_the_transform(nodes):
+    length, interval = 10.0, 40.0 * (10.0 / nodes) ** 2
+    road = np.random.default_rng(1).standard_normal(nodes)
+    relaxed = road.copy()
+    LineRelaxation(tr.Constant(1.0), length)(relaxed, interval)
+    np.testing.assert_allclose(relaxed, relax_transform(road, symbol(interval, length, nodes)), atol=1e-9)
+    assert abs(relaxed.mean() - road.mean()) < 1e-15 and np.ptp(relaxed) < 0.5 * np.ptp(road)

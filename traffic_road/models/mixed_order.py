@@ -1,0 +1,293 @@
+"""Which cars of any fleet may cross their nodes at the same time: the order of passages, kept node by node.
+
+What a run must keep is the order in which cars pass each node; passages of different nodes by different cars commute. In a
+stretch of time a car has a *unit* of work: the nodes that it crosses, one after the other. Of two cars the one ahead goes
+first; where one overtakes the other, at node X (exact: by the times at which they are due there), both units are split at
+X and the order is turned. A unit's *level* is one more than the highest level of those that cross any of its nodes
+before it: units of one level touch no common node and are worked on side by side.
+
+Positions are node numbers counted on around the ring. In each stretch the ring is cut at a node that no car crosses, and
+the cars are kept in ascending order from there.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit, uint64
+
+# times must round alike wherever they are formed: said outright, or a caller that contracts would hand that down
+OPTIONS = {"cache": True, "error_model": "numpy", "fastmath": False}
+CAR, START, LENGTH, LEVEL = range(4)  # columns of `units`; START in [0, nodes)
+RESET = 2**30
+
+
+@njit(**OPTIONS)
+def _due(car, ahead, place, crossed, first_due, step):
+    """When `car` crosses the node numbered `ahead`: no sum drifts."""
+    return first_due[car] + (crossed[car] + (ahead - place[car])) * step[car]
+
+
+@njit(**OPTIONS)
+def _goes_first(a, b, node, place, crossed, first_due, step):
+    """Car a crosses `node` before car b; at the same time the lower car goes first."""
+    when_a = _due(a, node, place, crossed, first_due, step)
+    when_b = _due(b, node, place, crossed, first_due, step)
+    return when_a < when_b or (when_a == when_b and a < b)
+
+
+@njit(**OPTIONS)
+def _count(until, order, place, crossed, first_due, step, reach):
+    """reach <- the node that each car will be about to cross once all due at `until` or before are crossed."""
+    furthest = place[order[0]]
+    for car in range(place.size):
+        n = max(int((until - first_due[car]) / step[car]), crossed[car])
+        while first_due[car] + n * step[car] <= until:
+            n += 1
+        while n > crossed[car] and first_due[car] + (n - 1) * step[car] > until:
+            n -= 1
+        reach[car] = place[car] + (n - crossed[car])
+        furthest = max(furthest, reach[car])
+    return furthest
+
+
+@njit(**OPTIONS)
+def _cut(nodes, furthest, order, place, reach, spare):
+    """Let `order` begin at a node that no car crosses; False if there is none."""
+    behind = furthest - nodes
+    for r in range(order.size):
+        car = order[r]
+        if behind <= place[car]:
+            break
+        behind = max(behind, reach[car])
+    else:
+        return False
+    if r > 0:
+        spare[:] = order
+        for s in range(order.size):
+            order[s] = spare[s + r - order.size if s + r >= order.size else s + r]
+        for s in range(r):
+            place[spare[s]] += nodes
+            reach[spare[s]] += nodes
+    if place[order[0]] >= nodes:
+        place -= nodes
+        reach -= nodes
+    return True
+
+
+@njit(**OPTIONS)
+def _longer(rows):
+    """Room for twice as many rows."""
+    more = np.empty((2 * rows.shape[0], rows.shape[1]), np.int64)
+    more[: rows.shape[0]] = rows
+    return more
+
+
+@njit(**OPTIONS)
+def _sort(events, time):
+    """Events in the order of time; of those at the same time that of the lower overtaker goes first (Shell's sort)."""
+    gap = time.size // 2
+    while gap > 0:
+        for n in range(gap, time.size):
+            i, j, x, when = events[n, 0], events[n, 1], events[n, 2], time[n]
+            m = n
+            while m >= gap and (time[m - gap] > when or (time[m - gap] == when and events[m - gap, 0] > i)):
+                events[m, 0], events[m, 1], events[m, 2] = events[m - gap, 0], events[m - gap, 1], events[m - gap, 2]
+                time[m] = time[m - gap]
+                m -= gap
+            events[m, 0], events[m, 1], events[m, 2], time[m] = i, j, x, when
+        gap //= 2
+
+
+@njit(**OPTIONS)
+def _overtakes(order, after, place, crossed, first_due, step, reach):
+    """after <- the cars in ascending order at the end. Rows (overtaker, overtaken, node), in the order of time."""
+    after[:] = order
+    events = np.empty((64, 3), np.int64)
+    found = 0
+    for r in range(1, order.size):
+        car = order[r]
+        s = r
+        while s > 0:
+            other = after[s - 1]
+            if reach[other] < reach[car] or (
+                reach[other] == reach[car] and not _goes_first(other, car, reach[car], place, crossed, first_due, step)
+            ):
+                break
+            if found == events.shape[0]:
+                events = _longer(events)
+            events[found, 0], events[found, 1] = other, car
+            found += 1
+            after[s] = other
+            s -= 1
+        after[s] = car
+    events = events[:found]
+    time = np.empty(found)
+    for e in range(found):
+        i, j = events[e, 0], events[e, 1]
+        x = place[j]
+        late = _due(i, x, place, crossed, first_due, step) - _due(j, x, place, crossed, first_due, step)
+        if late > 0.0 and step[j] > step[i]:
+            x = min(x + int(late / (step[j] - step[i])), reach[j])
+        while x < reach[j] and not _goes_first(i, j, x, place, crossed, first_due, step):
+            x += 1
+        while x > place[j] and _goes_first(i, j, x - 1, place, crossed, first_due, step):
+            x -= 1
+        events[e, 2], time[e] = x, _due(i, x, place, crossed, first_due, step)
+    _sort(events, time)
+    return events
+
+
+@njit(**OPTIONS)
+def _mark(touched, start, count, level):
+    for x in range(start, start + count):
+        touched[x] = level
+
+
+@njit(**OPTIONS)
+def _highest(touched, start, count, top):
+    for x in range(start, start + count):
+        top = max(top, touched[x])
+    return top
+
+
+@njit(**OPTIONS)
+def _touch(touched, start, length, level):
+    """Mark the nodes from `start` on, around the ring, as crossed at `level`."""
+    run = min(length, touched.size - start)
+    _mark(touched, uint64(start), uint64(run), np.int32(level))
+    _mark(touched, uint64(0), uint64(length - run), np.int32(level))
+
+
+@njit(**OPTIONS)
+def _top(touched, start, length):
+    """The highest level that has crossed any node from `start` on."""
+    run = min(length, touched.size - start)
+    top = _highest(touched, uint64(start), uint64(run), np.int32(0))
+    return np.int64(_highest(touched, uint64(0), uint64(length - run), top))
+
+
+@njit(**OPTIONS)
+def _advance(car, x, base, nodes, done, reach, own, touched, units, total):
+    """Let `car` cross its nodes up to x: as more of its last unit where that is free to go on, else as a new one."""
+    x = min(x, reach[car])
+    length = x - done[car]
+    if length <= 0:
+        return units, total
+    start = done[car] if done[car] < nodes else done[car] - nodes
+    top = max(_top(touched, start, length), base)
+    last = own[car]
+    if last >= 0 and top < units[last, LEVEL]:
+        units[last, LENGTH] += length
+        _touch(touched, start, length, units[last, LEVEL])
+    else:
+        if total == units.shape[0]:
+            units = _longer(units)
+        level = (max(top, units[last, LEVEL]) if last >= 0 else top) + 1
+        units[total, CAR], units[total, START], units[total, LENGTH], units[total, LEVEL] = car, start, length, level
+        own[car] = total
+        total += 1
+        _touch(touched, start, length, level)
+    done[car] = x
+    return units, total
+
+
+@njit(**OPTIONS)
+def _split(events, order, rank, nodes, done, reach, own, touched, base, units):
+    """Units of a stretch with overtakes, in time: before each, the two and those ahead of them reach its node."""
+    cars = order.size
+    total = 0
+    for r in range(cars):
+        rank[order[r]] = r
+    own[:] = -1
+    for e in range(events.shape[0]):
+        i, j, x = events[e, 0], events[e, 1], events[e, 2]
+        if rank[i] > rank[j]:
+            continue
+        r = rank[i] + 1
+        while r < cars and done[order[r]] < x:
+            r += 1
+        for s in range(r - 1, rank[i] - 1, -1):
+            units, total = _advance(order[s], x, base, nodes, done, reach, own, touched, units, total)
+        for s in range(rank[i], rank[j]):
+            order[s] = order[s + 1]
+            rank[order[s]] = s
+        rank[i] = rank[j] + 1
+        order[rank[i]] = i
+    for r in range(cars - 1, -1, -1):
+        units, total = _advance(order[r], reach[order[r]], base, nodes, done, reach, own, touched, units, total)
+    return units, total
+
+
+@njit(**OPTIONS)
+def _in_line(order, nodes, place, reach, units):
+    """Units of a stretch without overtakes: a car waits for the one ahead if it will cross nodes of that one."""
+    total = 0
+    ahead = 2 * nodes
+    level = 1
+    for r in range(order.size - 1, -1, -1):
+        car = order[r]
+        start, length = place[car], reach[car] - place[car]
+        if length > 0:
+            level = level + 1 if start + length > ahead else 1
+            units[total, CAR], units[total, LENGTH], units[total, LEVEL] = car, length, level
+            units[total, START] = start if start < nodes else start - nodes
+            total += 1
+            ahead = start
+    return total
+
+
+@njit(**OPTIONS)
+def _rank_units(units, total, base, ranking):
+    """ranking[:total] <- the units by level, the longer first (lengths in classes)."""
+    longest, levels = 0, 0
+    for n in range(total):
+        longest = max(longest, units[n, LENGTH])
+        levels = max(levels, units[n, LEVEL] - base)
+    classes = min(longest + 1, 64)
+    room = np.zeros(levels * classes + 1, np.int64)
+    for n in range(total):
+        room[(units[n, LEVEL] - base - 1) * classes + (longest - units[n, LENGTH]) * classes // (longest + 1) + 1] += 1
+    for key in range(1, room.size):
+        room[key] += room[key - 1]
+    for n in range(total):
+        key = (units[n, LEVEL] - base - 1) * classes + (longest - units[n, LENGTH]) * classes // (longest + 1)
+        ranking[room[key]] = n
+        room[key] += 1
+    return levels
+
+
+@njit(**OPTIONS)
+def plan(until, nodes, order, place, crossed, first_due, step, spare, touched, top, units, ranking):
+    """The units of all passages due at `until` or before, and the cars moved there.
+
+    order (cars,): cars in ascending order. place, crossed (cars,): the next node of each and the nodes crossed so far;
+    car c crosses its n-th node, from 0, at first_due[c] + n * step[c]. spare (5, cars). touched (nodes,), the level at
+    which each node was crossed; top (1,): the highest so far. units (n, 4), ranking (n,): room, replaced where it is short.
+    Returns units, ranking (by level, the longer first) and their number; -1, and no car moved, if the time is so long
+    that no node is left uncrossed.
+    """
+    reach, after, rank, done, own = spare[0], spare[1], spare[2], spare[3], spare[4]
+    furthest = _count(until, order, place, crossed, first_due, step, reach)
+    if not _cut(nodes, furthest, order, place, reach, after):
+        return units, ranking, -1
+    events = _overtakes(order, after, place, crossed, first_due, step, reach)
+    base = 0
+    if events.shape[0]:
+        if top[0] > RESET:
+            touched[:] = 0
+            top[0] = 0
+        base = top[0]
+        done[:] = place
+        units, total = _split(events, order, rank, nodes, done, reach, own, touched, base, units)
+        order[:] = after
+    else:
+        total = _in_line(order, nodes, place, reach, units)
+    if ranking.size < units.shape[0]:
+        ranking = np.empty(units.shape[0], np.int64)
+    levels = _rank_units(units, total, base, ranking)
+    if events.shape[0]:
+        top[0] += levels
+    for car in range(place.size):
+        crossed[car] += reach[car] - place[car]
+        place[car] = reach[car]
+    return units, ranking, total
