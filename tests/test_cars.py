@@ -4,15 +4,18 @@ import subprocess
 import sys
 from dataclasses import replace
 
+import numba
 import numpy as np
 import pytest
 from reference import plain_cars
 
 import traffic_road as tr
 from traffic_road.errors import SceneError, StabilityError
-from traffic_road.models import Sample, cars
+from traffic_road.models import Sample, cars, even_kernels
+from traffic_road.models.cars_mixed import mixed_samples
 from traffic_road.schemes import relaxation
 from traffic_road.schemes.oscillator import propagator
+from traffic_road.schemes.passage import contact_height
 from traffic_road.theory import dispersion, fleet_dispersion, floquet
 from traffic_road.theory.floquet import floquet_mode, relaxation_matrix, sweep_matrix
 
@@ -261,7 +264,7 @@ def test_uniform_road_stays_uniform_from_headway_to_headway(hold):
 def test_car_at_rest_starts_on_the_road_without_momentum():
     first = run(scene(amplitude=0.5, start="rest"), [0, 1.0], nodes=64)[0]
     node = np.rint(first.where / (2 * np.pi / K) * 64).astype(int)
-    np.testing.assert_array_equal(first.car_height, first.road_height[node])
+    np.testing.assert_allclose(first.car_height, first.road_height[node], rtol=0, atol=2e-16)
     np.testing.assert_allclose(first.contact_force, 1.0)
 
 
@@ -376,11 +379,91 @@ def test_band_of_weights_is_the_transform(spread):
     assert relaxation.band(1e4 * diffusion / spread, length, nodes) is None
 
 
+@pytest.mark.parametrize("spread", [13.0, 23.46, 46.9, 300.0])
+def test_band_by_way_of_every_other_node_is_the_transform(spread):
+    nodes = 2048
+    even, odd, half, between = relaxation.two_rates(spread, float(nodes), nodes)
+    wave = np.arange(0, nodes // 2 + 1, 16)
+    height = np.cos(2 * np.pi / nodes * np.outer(wave, np.arange(nodes)) + wave[:, None])  # each wave by itself
+    whole, other = height[:, ::2], height[:, 1::2]
+    near = even[0] * whole + sum(even[t] * (np.roll(whole, t, 1) + np.roll(whole, -t, 1)) for t in range(1, even.size))
+    near += sum(odd[t] * (np.roll(other, t + 1, 1) + np.roll(other, -t, 1)) for t in range(odd.size))
+    on = half[0] * near + sum(half[t] * (np.roll(near, t, 1) + np.roll(near, -t, 1)) for t in range(1, half.size))
+    off = sum(between[t] * (np.roll(on, t, 1) + np.roll(on, -1 - t, 1)) for t in range(between.size))
+    exact = relaxation.symbol(spread, float(nodes), nodes)[wave, None] * height
+    error = np.maximum(np.abs(on - exact[:, ::2]).max(axis=1), np.abs(off - exact[:, 1::2]).max(axis=1))
+    assert error.max() < 4 * relaxation.TAIL  # of three cuts and the waves that pass for others
+    assert error[0] < 1e-13 and error[-1] < 1e-13  # the mean stays, the shortest wave ends
+
+
+@pytest.mark.parametrize(
+    ("count", "rows", "hold", "diffusivity", "relax_every", "softness"),
+    [
+        (1, 64, 3, 0.01, 1, 0.02),
+        (3, 30, 1, 0.0, 2, 0.02),
+        (13, 16, 1, 0.01, 1, 0.02),
+        (40, 9, 5, 0.02, 1, 0.0),
+        (515, 6, 3, 0.0, 1, tr.Exponential(0.02, 0.5)),
+        (600, 32, 1, 0.01, 4, 0.02),  # by way of every other node
+        (777, 5, 3, 0.2, 1, tr.Bounded(0.02, 0.9)),
+        (4097, 8, 3, 0.05, 4, 0.02),  # two panels
+    ],
+)
+def test_any_number_of_cars_is_the_kernel_of_mixed_fleets(count, rows, hold, diffusivity, relax_every, softness):
+    waves = max(1, count // 8)
+    place = 2 * np.pi * waves * np.arange(count * rows) / (count * rows)
+    profile = 1.5 * np.sin(place) + 0.3 * np.sin(2 * place + 1) if count > 8 else 0.3 * np.sin(place)
+    case = tr.Scene(tr.Road(0.87 * count, softness, diffusivity, profile), tr.Fleet(count, 0.1), duration=24 * 0.87)
+    numerics = cars.numerics(case, {"nodes": count * rows, "hold": hold, "relax_every": relax_every})
+    times = cars.sample_times(case, [0.0, 8 * 0.87, 24 * 0.87], numerics)
+    both = cars.samples(case, times, numerics), mixed_samples(case, times, **numerics)
+    for even, mixed in zip(*([s for s in kind if isinstance(s, Sample)] for kind in both), strict=True):
+        assert even.updates == mixed.updates and even.airborne == mixed.airborne
+        for name in ("road_height", "car_height", "contact_force", "where"):
+            # relaxed by bands, exact to 1e-10, or by none
+            found, wanted = getattr(even, name), getattr(mixed, name)
+            np.testing.assert_allclose(found, wanted, atol=5e-10 if diffusivity else 5e-12)
+    assert even.airborne > 0 or count < 8
+
+
+@pytest.mark.parametrize(("value", "shape"), [(0.006, 0.1), (0.006, 0.5), (0.05, 0.05)])
+def test_vectorised_passages_are_the_iteration(value, shape):
+    rng = np.random.default_rng(3)
+    half, b, level = 0.4, 1e-3, -2.0
+    numbers = even_kernels.passage(1.0, b, half, 1.0, (1, value, shape), level)
+    sure = 0
+    for before, down in zip(level + rng.uniform(-0.6, 0.6, 4000) / shape, rng.uniform(-1.2, 6, 4000), strict=True):
+        law = before, before - down, b, 1.0
+        contact, after, _, unsure = even_kernels._met_exponential(*law, numbers[7], level, shape, 0.0, *numbers[8:])
+        wanted = contact_height(before, before - down, b, half, 1.0, 1, value, shape, True)
+        if not unsure:
+            sure += 1
+            assert contact == pytest.approx(wanted, abs=1e-13) and after == pytest.approx(
+                2 * wanted - before, abs=2e-13
+            )
+        contact, after, _ = even_kernels._met_bounded(*law, half, value, shape, 0.0)
+        wanted = contact_height(before, before - down, b, half, 1.0, 2, value, shape, True)
+        assert contact == pytest.approx(wanted, abs=1e-13) and after == pytest.approx(2 * wanted - before, abs=2e-13)
+    assert 400 < sure < 4000  # both sides of the guard
+
+
+def test_threads_change_no_bit():
+    case = tr.Scene(tr.Road(0.87 * 4100, 0.02, 0.05, tr.Sine(1.5, 2 * np.pi / 8.7)), tr.Fleet(4100, 0.1), 12 * 0.87)
+    before = numba.get_num_threads()
+    roads = []
+    for threads in {1, min(2, before)}:
+        numba.set_num_threads(threads)
+        roads.append(run(case, [0.0, 12 * 0.87], nodes=4100 * 8, relax_every=4)[-1].road_height)
+    numba.set_num_threads(before)
+    for road in roads:
+        np.testing.assert_array_equal(road, roads[0])
+
+
 def test_compiled_sweep_is_found_again_by_another_process():
     program = (
         "import traffic_road as tr; from traffic_road.models import even_kernels\n"
         "tr.simulate(tr.preset('paper'), 'cars', samples=2, nodes=64, hold=3)\n"
-        "print(sum(even_kernels.sweep_even(3, 0).stats.cache_hits.values()))"
+        "print(sum(even_kernels.sweep_even(8, 3, 0, 8).stats.cache_hits.values()))"
     )
     hits = [subprocess.run([sys.executable, "-c", program], capture_output=True, text=True).stdout for _ in range(2)]
     assert hits[1].strip() == "1"

@@ -1,133 +1,146 @@
-"""The run of an even fleet: headway by headway in the layout of `even_kernels`."""
+"""The run of an even fleet: some headways at a time in the layout of `even_layout`, the road relaxing in between."""
 
 from __future__ import annotations
 
+import numba
 import numpy as np
 
-from ..laws import Constant
+from ..laws import BOUNDED, CONSTANT, EXPONENTIAL
 from ..schemes import oscillator
-from ..schemes.relaxation import LONGEST_BAND, band, relax_law, relax_transform, symbol
 from . import Breath, Pace, Sample
 from .cars_state import force, kinds, level_of, sink_rate, start
-from .even_kernels import aligned, relax_band, sweep_even
+from .even_kernels import DEEPEST, FIELDS, passage, recursion, scaled, sweep_even
+from .even_layout import aligned, get, hand_over, layout, put, slots
+from .even_relaxation import Relaxation, margin
+
+FAINT = 1e-9  # softness of a passage below which a force is lost in the rounding of the road, and no count of it kept
+
+STRETCH = 64  # headways between looks at the clock and the level, without relaxation
 
 
 def even_samples(scene, times, order, first_node, left=None, *, nodes, hold, relax_every):
     """The samples of an even fleet; `left` is the state of a Breath to go on from."""
-    fleet, length, count = scene.fleet, scene.road.length, scene.fleet.count
-    distinct, _ = kinds(fleet)
-    speed, frequency, damping, mass = distinct[0]
+    fleet, count = scene.fleet, scene.fleet.count
+    speed, frequency, _, mass = kinds(fleet)[0][0]
     rows = nodes // count
-    dx = length / nodes
-    A, B = (c[0] for c in oscillator.propagator(dx / speed, frequency, damping, hold))
-    kind, value, shape = scene.road.softness.kernel
-    sweep = sweep_even(hold, kind)
-    half = 0.5 * mass * scene.headway / speed
-    height = scene.road.profile.sample(length, nodes)
+    dx = scene.road.length / nodes
     node = (first_node + rows * np.arange(count)) % nodes
-    Z, P, past = start(scene, height, node, np.zeros(count, dtype=int), distinct, hold)
-    state = np.concatenate((Z, P, past.T[::-1].ravel()))
-    road = _EvenRoad(scene, height, rows, first_node)
+    where_in = layout(count, rows, margin(scene, nodes, layout(count, rows), (relax_every / 2, relax_every)))
+    threads = min(numba.get_num_threads(), where_in.panels)
+    cars = _Cars(scene, node, hold, where_in, threads > 1)
+    road = aligned(where_in.size)
+    put(road, scene.road.profile.sample(scene.road.length, nodes), first_node + 1, where_in)
+    relaxation = Relaxation(scene, nodes, where_in, threads)
+    stretch = relax_every if relaxation.acts else STRETCH
     back = np.argsort(order)
 
+    def heights():
+        out = np.empty(nodes)
+        get(out, road, first_node + 1, where_in)
+        return out
+
     def sample():
-        Zs, last = state[:count][back], state[-count:][back]
+        Z, contact, airborne = cars.read(done)
         where = (node[back] + done * rows) % nodes * dx
-        pressed = force(scene, last, Zs, frequency, mass)
+        pressed = force(scene, contact[back], Z[back], frequency, mass)
         time = done * scene.headway / speed
-        return Sample(time, road.heights() + level, Zs + level, pressed, where, done * nodes, airborne)
+        return Sample(time, heights() + level, Z[back] + level, pressed, where, done * nodes, airborne)
 
     def leave():
-        counts = {"taken": taken, "done": done, "airborne": airborne, "pending": pending, "level": level}
-        return counts | {"road": road.heights(), "cars": state.copy()}
+        counts = {"taken": taken, "done": done, "pending": pending, "level": level}
+        return counts | {"road": road.copy(), "cars": cars.flat.copy()}
 
-    taken = done = airborne = 0
+    taken = done = 0
     pending = level = 0.0  # headways of relaxation that are due; what has been taken off all heights
     if left is not None:
-        taken, done, airborne, pending, level = (left[k] for k in ("taken", "done", "airborne", "pending", "level"))
-        road.put_heights(left["road"])
-        state[:] = left["cars"]
+        taken, done, pending, level = (left[k] for k in ("taken", "done", "pending", "level"))
+        road[:], cars.flat[:] = left["road"], left["cars"]
     else:
         yield sample()
         taken = 1
     sink, pace = sink_rate(scene) * scene.headway / speed, Pace()
     for target in np.rint(np.asarray(times[taken:]) * speed / scene.headway).astype(int).tolist():
         while done < target:
-            chunk = min(relax_every, target - done)
+            chunk = min(stretch, target - done)
             if pace.due():
-                yield Breath(done * scene.headway / speed, leave, road.heights)
-            road.relax(pending + chunk / 2)
-            for _ in range(chunk):
-                airborne += sweep(
-                    road.flat, rows, road.stride, road.margin, done, state, count, A, B, half, frequency**2,
-                    value, shape, scene.lift_off,
-                )  # fmt: skip
-                done += 1
+                yield Breath(done * scene.headway / speed, leave, heights)
+            relaxation.relax(road, pending + chunk / 2)
+            cars.cross(road, done, chunk)
+            done += chunk
             pending = chunk / 2
             if sink * done // 1 != sink * (done - chunk) // 1:
-                sunk = level_of(road.heights())
-                road.flat -= sunk
-                state[:count] -= sunk  # Z, and below the contact heights; P does not know the level
-                state[2 * count :] -= sunk
+                sunk = level_of(heights())
+                road -= sunk
+                cars.lower(sunk)
                 level += sunk
-        road.relax(pending)
+        relaxation.relax(road, pending)
         pending = 0.0
         yield sample()
         taken += 1
 
 
-class _EvenRoad:
-    """The road of an even fleet in the layout of `even_kernels`, and its relaxation over a number of headways."""
+class _Cars:
+    """State of the cars, and how they cross blocks."""
 
-    def __init__(self, scene, height, rows, first_node):
-        self.law = scene.road.diffusivity
-        self.length, self.rows, self.first_node = scene.road.length, rows, first_node
-        self.interval = scene.headway_time
-        self.nodes = height.size
-        self.cars = height.size // rows
-        self.still = isinstance(self.law, Constant) and self.law.value == 0
-        self.weights: dict = {}  # headways -> band, or None where only a transform will do
-        self.margin = 0
-        if isinstance(self.law, Constant) and not self.still:
-            self.margin = -(-LONGEST_BAND // rows)
-        self.margin += -self.margin % 8  # rows start at cache lines
-        self.stride = self.cars + 2 * self.margin
-        self.stride += -self.stride % 8
-        self.flat = aligned(rows * self.stride)
-        self.other = aligned(rows * self.stride)
-        self.put_heights(height)
-
-    def _put(self, heights):
-        table = self.flat.reshape(self.rows, self.stride)
-        table[:, self.margin : self.margin + self.cars] = heights.reshape(self.cars, self.rows).T
-
-    def _get(self):
-        table = self.flat.reshape(self.rows, self.stride)
-        return table[:, self.margin : self.margin + self.cars].T.ravel()
-
-    def heights(self):
-        """Heights by node, shape (nodes,)."""
-        return np.roll(self._get(), self.first_node + 1)
-
-    def put_heights(self, heights):
-        self._put(np.roll(heights, -self.first_node - 1))
-
-    def relax(self, headways: float) -> None:
-        if self.still or headways == 0:
-            return
-        interval = headways * self.interval
-        if not isinstance(self.law, Constant):
-            self._put(relax_law(self._get(), self.law, interval, self.length))
-            return
-        if headways not in self.weights:
-            weights = band(self.law.value * interval, self.length, self.nodes)
-            if weights is not None:
-                weights = np.concatenate((weights, np.zeros(-(weights.size - 1) % 4)))
-            factor = symbol(self.law.value * interval, self.length, self.nodes) if weights is None else None
-            self.weights[headways] = weights, factor
-        weights, factor = self.weights[headways]
-        if weights is None:
-            self._put(relax_transform(self._get(), factor))
+    def __init__(self, scene, node, hold, where_in, parallel):
+        fleet, count = scene.fleet, scene.fleet.count
+        distinct, _ = kinds(fleet)
+        speed, frequency, damping, mass = distinct[0]
+        self.layout, rows = where_in, where_in.rows
+        dx = scene.headway / rows
+        A, B = (c[0] for c in oscillator.propagator(dx / speed, frequency, damping, hold))
+        kind, value, shape = scene.road.softness.kernel
+        half, omega2 = 0.5 * mass * scene.headway / speed, frequency**2
+        if kind == CONSTANT and half * value * omega2 < FAINT:
+            kind = BOUNDED  # of shape 0: the same law, its passages decided one by one
+        if kind == CONSTANT:
+            self.coefficients, s, self.factor, self.offset = scaled(A, B, half * value, omega2)
         else:
-            relax_band(self.flat, self.other, self.rows, self.stride, self.margin, self.cars, weights)
-            self.flat, self.other = self.other, self.flat
+            T, D, e = recursion(A, B)
+            self.coefficients, s, self.factor, self.offset = np.concatenate(([0.0, T, D], e)), 1.0, 1.0, 0.0
+        self.passage = s, B[0, 0], half, omega2, (kind, value, shape)
+        self.newest = B[0, 0]
+        self.lift_off, self.rows = scene.lift_off, rows
+        self.sweep = sweep_even(where_in.width, hold, kind, rows, parallel)
+
+        height = scene.road.profile.sample(scene.road.length, node.size * rows)
+        Z, P, past = start(scene, height, node, np.zeros(count, dtype=int), distinct, hold)
+        free = A[0, 0] * Z + A[0, 1] * P + past @ B[0, 1:]
+        fields = FIELDS + hold
+        self.flat = aligned(self.layout.panels * self.layout.tiles * fields * self.layout.width)
+        self.state = self.flat.reshape(-1, fields, self.layout.width)
+        self.where = slot, lane = slots(0, self.layout)  # of all cars, in the order of their places
+        self.exponential = kind == EXPONENTIAL
+        scale = np.array([[free], [Z - self.newest * past[:, 0]]]) * self.factor + self.offset
+        self.state[slot, 1, lane], self.state[slot, 2, lane] = scale[:, 0]
+        self.state[slot, FIELDS:, lane] = past
+
+    def read(self, done):
+        """Z and the last contact height (cars,) of each car, and the number of passages without contact so far."""
+        slot, lane = slots(done, self.layout)
+        signs, f, contact = (self.state[slot, n, lane] for n in (0, 2, FIELDS))
+        airborne = int(done * self.rows * signs.size + signs.sum()) // 2 if self.lift_off else 0
+        return (f - self.offset) / self.factor + self.newest * contact, contact, airborne
+
+    def lower(self, level):
+        """Takes `level` off all heights of the cars."""
+        self.state[:, 1:FIELDS] -= self.factor * level
+        self.state[:, FIELDS:] -= level
+
+    def cross(self, road, done, headways):
+        """All cars cross `headways` blocks, the first of them being headway `done`."""
+        state = self.state.reshape(self.layout.panels, self.layout.tiles, *self.state.shape[1:])
+        slack = 0.0 if self.lift_off else np.inf
+        slot, lane = self.where
+        level = float(np.mean(self.state[slot, FIELDS, lane])) if self.exponential else 0.0
+        law = passage(*self.passage, level)
+        deepest = min(DEEPEST, self.layout.tiles)
+        while headways:
+            chunk = min(headways, deepest)
+            self.sweep(road, self.flat, self.layout, chunk, done, True, self.coefficients, law, slack)
+            if chunk > 1:
+                hand_over(state, done + 1, done + chunk, self.layout)
+                self.sweep(road, self.flat, self.layout, chunk, done, False, self.coefficients, law, slack)
+            done += chunk
+            headways -= chunk
+            hand_over(state, done, done + 1, self.layout)

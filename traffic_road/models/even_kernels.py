@@ -1,134 +1,232 @@
-"""Compiled loops of the cars model, on plain arrays.
+"""Compiled loops of an even fleet: cars cross their blocks, many at a time, in the layout of `even_layout`.
 
-Even fleet: the road is stored by its place in the headway, road[r, i] being node r + 1 after the start of block i. Every
-car works through one block per headway, so that a row holds the nodes that all cars cross at the same moment, side by
-side in memory. TILE blocks at a time go through all rows of a headway, so that their cars stay in the first-level cache.
+Between passages the pair (Z, P) is a linear system, so that (Cayley-Hamilton) Z alone obeys a recursion in two terms; so
+does z*, what Z would be at the next node but for the weight b of the contact height there:
+
+    z*' = T z* - D z*_-1 + sum_j e_j h_-j,   T = tr A, D = det A, j = 0..hold
+
+from Z' = T Z - D Z_-1 + sum_j g_j h'_-j, g_j = B0_j + A01 B1_(j-1) - A11 B0_(j-1), and Z = z* + b h: e_0 = T b + g_1,
+e_1 = g_2 - D b, e_j = g_(j+1). Constant softness, push = delta m/2: h = min(H, (H - push (1 - omega^2 z*)) s) with
+s = 1/(1 + push omega^2 (1 - b)). With f = s push (omega^2 z* - 1) in the place of z* that is h = min(H, s H + f): five
+multiply-adds a node for the linear hold, and P is never formed.
+
+Without exchange between lanes, many headways go through a tile before the next: those for which its cars come from the
+tiles before it (`wedge` True), and, when cars have been handed over at the lanes' ends, the rest (`wedge` False).
 Indices are unsigned: with signed ones the compiler must allow for wrap-around and does not vectorise.
 """
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
-from numba import njit, uint64
+from numba import njit, prange, uint64
 
-from ..laws import CONSTANT
+from ..laws import CONSTANT, EXPONENTIAL
 from ..schemes.passage import contact_height
+from .even_layout import COMPILE, copy, row_of
 
-TILE = 256  # blocks a sweep works on at a time
-RING = 8  # rows of contact heights kept, a power of two above the longest hold
-BAND_TILE = 64  # blocks a relaxation works on at a time
-T = np.uint64(TILE)
-W = np.uint64(BAND_TILE)
-W2, W3, W4, W5, W6, W7, W8, W9, W10 = (np.uint64(n * BAND_TILE) for n in range(2, 11))
-COMPILE = {
-    "cache": True,
-    "error_model": "numpy",
-    "fastmath": {"contract"},
-}  # contract: fused multiply-add, NaN stays NaN
+FIELDS = 3  # of a car, before its contact heights: signs, f, f_-1
+DEEPEST = 16  # headways that go through a tile at a time
+FEW = 3e-3  # shape times the sinking of a node up to which the series below is exact to rounding
+
+
+def recursion(A, B):
+    """T, -D and e (hold + 1,) of the recursion above for one kind of car: A (2, 2), B (2, hold + 1)."""
+    trace, determinant = A[0, 0] + A[1, 1], A[0, 0] * A[1, 1] - A[0, 1] * A[1, 0]
+    height, momentum = B
+    g = np.append(height, 0.0) + np.append(0.0, A[0, 1] * momentum - A[1, 1] * height)
+    e = g[1:].copy()
+    e[0] += trace * height[0]
+    e[1] -= determinant * height[0]
+    return trace, -determinant, e
+
+
+def scaled(A, B, half_softness, omega2):
+    """Numbers of a sweep with constant softness, push = half_softness: c, s, factor, offset: f = factor z* + offset."""
+    s = 1.0 / (1.0 + half_softness * omega2 * (1.0 - B[0, 0]))
+    factor, offset = s * half_softness * omega2, -s * half_softness
+    T, D, e = recursion(A, B)
+    return np.concatenate(([offset * (1.0 - T - D), T, D], factor * e)), s, factor, offset
+
+
+def passage(s, b, half, omega2, law, level):
+    """Numbers of the passage: s, b, half, omega^2, value, shape; for an exponential law about a road at `level` the rest."""
+    kind, value, shape = law
+    scale = half * value * math.exp(shape * level) if kind == EXPONENTIAL else 0.0
+    g2 = omega2 * (1.0 - b)
+    k = 1.0 / (1.0 + g2 * scale)
+    d4, c4 = 42.0 * k**2 - 21.0 * k + 1.75, -28.0 * k**3 + 10.5 * k**2 - 1 / 24
+    c5 = 42.0 * k**4 - 42.0 * k**3 + 35 / 3 * k**2 - 7 / 8 * k + 1 / 120
+    return np.array([s, b, half, omega2, value, shape, level, scale, g2, c4, d4, c5])
 
 
 @njit(**COMPILE)
-def _copy(target, to, source, start, count):
-    for i in range(count):
-        target[to + i] = source[start + i]
+def _met(H, f, s, slack):
+    """Contact height, height after and -1 for a passage with contact, 1 without: constant softness."""
+    pressed = s * H + f
+    ceiling = H + slack
+    h = ceiling if ceiling < pressed else pressed  # in this order a NaN is kept
+    change = h - H
+    return h, h + change, math.copysign(1.0, change)
 
 
 @njit(**COMPILE)
-def aligned(size):
-    """Zeros that start at a cache line: the loops below read and write whole lines."""
-    wide = np.zeros(size + 8)
-    skip = (64 - wide.ctypes.data % 64) % 64 // 8
-    return wide[skip : skip + size]
+def _met_bounded(H, z_star, b, omega2, half, value, shape, least):
+    """The same for alpha = value max(0, 1 + shape h): x = h - H is the smaller root of a quadratic."""
+    weight = 1.0 + omega2 * (H - z_star - b * H)
+    w = least if weight < least else weight
+    slope, gain = omega2 * (1.0 - b), half * value * shape
+    p = half * value + gain * H
+    p = 0.0 if p < 0.0 else p
+    q = 1.0 + p * slope + gain * w
+    x = -2.0 * p * w / (q + math.sqrt(q * q - 4.0 * gain * slope * p * w))
+    return H + x, H + 2.0 * x, 1.0 if weight <= 0.0 else -1.0
 
 
 @njit(**COMPILE)
-def _copy_around(target, to, ring, start, cars, front, count):
-    """`count` cars from `front` on, around the end of the ring[start : start + cars]."""
-    run = min(count, cars - front)
-    _copy(target, to, ring, uint64(start + front), uint64(run))
-    _copy(target, to + uint64(run), ring, uint64(start), uint64(count - run))
+def _met_exponential(H, z_star, b, omega2, scale, level, shape, least, g2, c4, d4, c5):
+    """The same for alpha = value exp(shape h), scale = half value exp(shape level), and whether this is to rounding.
+
+    With E = half alpha(H), q = E omega^2 (1 - b), w the force at H: x (q + exp(-shape x)) = -E w. With k = 1/(1 + q)
+    and t = shape x_0, x_0 = -E w k, x = x_0 (1 + k t (1 + t (2 k - 1/2 + t (5 k^2 - 5 k/2 + 1/6 + t (c_4 + c_5 t))))) as
+    far as |t| < FEW; c_4 by its tangent at the level, c4 + d4 k. exp by a polynomial and two squarings.
+    """
+    y = 0.25 * shape * (H - level)
+    y2 = y * y
+    y4 = y2 * y2
+    low = (1.0 + y) + y2 * (0.5 + y * (1 / 6))
+    high = (1 / 24 + y * (1 / 120)) + y2 * (1 / 720 + y * (1 / 5040)) + y4 * (1 / 40320)
+    root = low + y4 * high
+    root = root * root
+    E = scale * (root * root)
+    k = 1.0 / (1.0 + g2 * E)
+    per_weight = -(E * k)  # x_0 for the weight 1; all to here can be known before the car comes
+    t1 = shape * per_weight
+    ahead = 1.0 + g2 * H
+    weight = ahead - omega2 * z_star
+    w = least if weight < least else weight
+    t = t1 * w
+    x0 = per_weight * w
+    series = (1.0 + t * (2.0 * k - 0.5)) + (t * t) * ((1 / 6 + k * (5.0 * k - 2.5)) + t * ((c4 + d4 * k) + c5 * t))
+    x = x0 + (x0 * (k * t)) * series
+    poor = (abs(y) > 0.125) | (abs(t) > FEW)
+    return H + x, H + 2.0 * x, 1.0 if weight <= 0.0 else -1.0, 1 if poor else 0
 
 
 @njit(**COMPILE)
-def _copy_back(ring, start, cars, front, source, at, count):
-    run = min(count, cars - front)
-    _copy(ring, uint64(start + front), source, at, uint64(run))
-    _copy(ring, uint64(start), source, at + uint64(run), uint64(count - run))
+def _carefully(road, at, rows, width, lanes, state, car, hold, c, law, least):
+    """A block crossed node by node and car by car, each passage by iteration: what the series is not good enough for."""
+    heights = np.empty(hold + 1)
+    for i in range(lanes):
+        k = car + i
+        signs, f, f1 = state[k], state[k + width], state[k + 2 * width]
+        for q in range(hold):
+            heights[q + 1] = state[k + (FIELDS + q) * width]
+        for r in range(rows):
+            before = road[at + r * width + i]
+            heights[0] = contact_height(before, f, law[1], law[2], law[3], EXPONENTIAL, law[4], law[5], least == 0.0)
+            signs += 1.0 if 1.0 + law[3] * (before - f - law[1] * before) <= 0.0 else -1.0
+            road[at + r * width + i] = 2.0 * heights[0] - before
+            g = c[0] + c[1] * f + c[2] * f1
+            for q in range(hold + 1):
+                g += c[3 + q] * heights[q]
+            f, f1 = g, f
+            for q in range(hold, 0, -1):
+                heights[q] = heights[q - 1]
+        state[k], state[k + width], state[k + 2 * width] = signs, f, f1
+        for q in range(hold):
+            state[k + (FIELDS + q) * width] = heights[q + 1]
 
 
-def _make_sweep(hold, kind):
-    """One headway of an even fleet for one hold and one kind of law (constants of the compiled loop).
+def _make_sweep(width, hold, kind, unroll, parallel):
+    """The sweep for one width, one hold and one kind of law; `unroll` divides the rows. All are constants of the loop.
 
     Only numbers are closed over: with a compiled function among them the cache on disk would never be found again.
     """
-    one, two, three, four, five = (np.uint64(n) for n in range(1, 6))
-    mask = np.uint64(RING - 1)
+    W1, W2, W3, W4, W5, W6, W7 = (np.uint64(n * width) for n in range(1, 8))
+    size = np.uint64((FIELDS + hold) * width)
 
-    @njit(**COMPILE)
-    def sweep(road, rows, stride, margin, headway, state, cars, A, B, half, omega2, value, shape, lift_off):
-        """Every car crosses one headway. road (rows * stride,) with `margin` ghost columns on either side.
+    @njit(parallel=parallel, **COMPILE)
+    def sweep(road, state, layout, headways, done, wedge, c, law, slack):
+        """`headways` <= tiles of all cars, from `done` on; see above for `wedge`. A single headway is all done at once.
 
-        state ((2 + hold) * cars,): Z, P, then the contact heights, oldest first. `headway` counts those already done.
-        Returns the number of passages without contact. half = m * headway / (2 u); omega2 = omega^2.
+        road and state flat. c: constant, T, -D, e_0.. of the recursion; law: `passage`. slack: 0, infinite without lift-off.
         """
-        a00, a01, a10, a11 = A[0, 0], A[0, 1], A[1, 0], A[1, 1]
-        b0, b1, c0, c1 = B[0, 0], B[0, 1], B[1, 0], B[1, 1]
+        _ = parallel  # read, since only what is read tells compiled loops on the disk apart
+        tiles, rows = layout.tiles, layout.rows
+        c0, T, D, e0, e1 = c[0], c[1], c[2], c[3], c[4]
         if hold > 1:
-            b2, b3, c2, c3 = B[0, 2], B[0, 3], B[1, 2], B[1, 3]
+            e2, e3 = c[5], c[6]
         if hold > 3:
-            b4, b5, c4, c5 = B[0, 4], B[0, 5], B[1, 4], B[1, 5]
-        # constant softness: h = (H - push (1 - omega^2 Z*)) / (1 + push omega^2 (1 - b)), or H if that is lower
-        push = half * value
-        scale = 1.0 / (1.0 + push * omega2 * (1.0 - b0))
-        pull = push * omega2
-        slack = 0.0 if lift_off else np.inf
-        h = aligned(RING * TILE)
-        z = aligned(TILE)
-        p = aligned(TILE)
-        airborne = 0
-        for first in range(0, cars, TILE):
-            count = min(TILE, cars - first)
-            front = (first - headway) % cars  # by now the car at the start of block b is car b - headway
-            _copy_around(z, uint64(0), state, 0, cars, front, count)
-            _copy_around(p, uint64(0), state, cars, cars, front, count)
-            for q in range(hold):
-                _copy_around(h, uint64(q) * T, state, (2 + q) * cars, cars, front, count)
-            for r in range(rows):
-                at = uint64(r * stride + margin + first)
-                # contact heights live in a ring of RING rows of h: `new` is the row to fill, h1, h2, ... those before it
-                newest = uint64((r + hold) & (RING - 1))
-                new = newest * T
-                h1, h2, h3 = ((newest - one) & mask) * T, ((newest - two) & mask) * T, ((newest - three) & mask) * T
-                h4, h5 = ((newest - four) & mask) * T, ((newest - five) & mask) * T
-                for i in range(uint64(count)):
-                    # the car arrives with Z*, P* (everything but the newest contact height), meets the node, takes h along
-                    z_star = a00 * z[i] + a01 * p[i] + b1 * h[h1 + i]
-                    p_star = a10 * z[i] + a11 * p[i] + c1 * h[h1 + i]
-                    if hold > 1:
-                        z_star += b2 * h[h2 + i] + b3 * h[h3 + i]
-                        p_star += c2 * h[h2 + i] + c3 * h[h3 + i]
-                    if hold > 3:
-                        z_star += b4 * h[h4 + i] + b5 * h[h5 + i]
-                        p_star += c4 * h[h4 + i] + c5 * h[h5 + i]
-                    before = road[at + i]
-                    if kind == CONSTANT:
-                        pressed = (before - push + pull * z_star) * scale
-                        ceiling = before + slack
-                        contact = ceiling if ceiling < pressed else pressed  # in this order a NaN is kept
-                        airborne += 1 if ceiling < pressed else 0
-                    else:
-                        contact = contact_height(before, z_star, b0, half, omega2, kind, value, shape, slack == 0.0)
-                        unloaded = 1.0 + omega2 * (before - z_star - b0 * before) <= 0.0
-                        airborne += 1 if slack == 0.0 and unloaded else 0
-                    h[new + i] = contact
-                    road[at + i] = 2.0 * contact - before
-                    z[i] = z_star + b0 * contact
-                    p[i] = p_star + c0 * contact
-            _copy_back(state, 0, cars, front, z, uint64(0), count)
-            _copy_back(state, cars, cars, front, p, uint64(0), count)
-            for q in range(hold):
-                _copy_back(state, (2 + q) * cars, cars, front, h, uint64((rows + q) & (RING - 1)) * T, count)
-        return airborne
+            e4, e5 = c[7], c[8]
+        s, b, half, omega2, value, shape = law[0], law[1], law[2], law[3], law[4], law[5]
+        level, scale, g2, c4, d4, c5 = law[6], law[7], law[8], law[9], law[10], law[11]
+        least = -slack
+        for panel in prange(layout.panels):
+            saved = np.empty((rows + FIELDS + hold) * width if kind == EXPONENTIAL else 0)
+            begin, end = (1, tiles) if wedge else (0, headways)
+            if headways == 1:
+                begin, end = 0, tiles
+            for tile in range(begin, end):
+                low, high = (0, min(tile, headways)) if wedge else (tile, headways)
+                if headways == 1:
+                    low, high = 0, 1
+                lanes = layout.lanes - panel * width if tile > 0 else layout.long - panel * width
+                lanes = min(lanes, width)
+                if lanes <= 0:
+                    continue
+                for headway in range(low, high):
+                    car = uint64(panel * tiles + (tile - headway - done) % tiles) * size
+                    poor = 0
+                    if kind == EXPONENTIAL:
+                        start = row_of(panel, tile * rows, layout)
+                        copy(saved, 0, road, start, rows * width)
+                        copy(saved, rows * width, state, car, size)
+                    for r in range(0, rows, unroll):
+                        at = uint64(row_of(panel, tile * rows + r, layout))
+                        for i in range(uint64(lanes)):
+                            k = car + i
+                            a, f, f1, h0 = state[k], state[k + W1], state[k + W2], state[k + W3]
+                            if hold > 1:
+                                h1, h2 = state[k + W4], state[k + W5]
+                            if hold > 3:
+                                h3, h4 = state[k + W6], state[k + W7]
+                            for u in range(unroll):
+                                x = at + uint64(u) * W1 + i
+                                if kind == CONSTANT:
+                                    h, road[x], sign = _met(road[x], f, s, slack)
+                                elif kind == EXPONENTIAL:
+                                    h, road[x], sign, unsure = _met_exponential(
+                                        road[x], f, b, omega2, scale, level, shape, least, g2, c4, d4, c5
+                                    )
+                                    poor += unsure
+                                else:
+                                    h, road[x], sign = _met_bounded(road[x], f, b, omega2, half, value, shape, least)
+                                a += sign
+                                # the newest height last: the others are known while it is awaited
+                                if hold == 1:
+                                    g = e0 * h + (T * f + (D * f1 + (e1 * h0 + c0)))
+                                elif hold == 3:
+                                    g = e0 * h + (T * f + (D * f1 + (e1 * h0 + (e2 * h1 + (e3 * h2 + c0)))))
+                                else:
+                                    older = e3 * h2 + (e4 * h3 + (e5 * h4 + c0))
+                                    g = e0 * h + (T * f + (D * f1 + (e1 * h0 + (e2 * h1 + older))))
+                                f, f1 = g, f
+                                if hold > 3:
+                                    h3, h4 = h2, h3
+                                if hold > 1:
+                                    h1, h2 = h0, h1
+                                h0 = h
+                            state[k], state[k + W1], state[k + W2], state[k + W3] = a, f, f1, h0
+                            if hold > 1:
+                                state[k + W4], state[k + W5] = h1, h2
+                            if hold > 3:
+                                state[k + W6], state[k + W7] = h3, h4
+                    if kind == EXPONENTIAL and poor:
+                        copy(road, start, saved, 0, rows * width)
+                        copy(state, car, saved, rows * width, size)
+                        _carefully(road, start, rows, width, lanes, state, int(car), hold, c, law, least)
 
     return sweep
 
@@ -136,65 +234,10 @@ def _make_sweep(hold, kind):
 _sweeps: dict = {}
 
 
-def sweep_even(hold: int, kind: int):
-    """The compiled sweep of one headway for this hold (1, 3, 5) and kind of law."""
-    if (hold, kind) not in _sweeps:
-        _sweeps[hold, kind] = _make_sweep(hold, kind)
-    return _sweeps[hold, kind]
-
-
-@njit(**COMPILE)
-def _weigh_centre(sums, rows, centre, count, w):
-    for i in range(count):
-        sums[i] = w * rows[centre + i]
-
-
-@njit(**COMPILE)
-def _weigh_pairs(sums, rows, low, high, w1, w2, w3, w4):
-    """Eight rows of sums gain four pairs of rows each: 30 loads for 64 additions and multiplications."""
-    for i in range(W):
-        a0, a1, a2, a3 = rows[low + i], rows[low + W + i], rows[low + W2 + i], rows[low + W3 + i]
-        a4, a5, a6, a7 = rows[low + W4 + i], rows[low + W5 + i], rows[low + W6 + i], rows[low + W7 + i]
-        a8, a9, a10 = rows[low + W8 + i], rows[low + W9 + i], rows[low + W10 + i]
-        b0, b1, b2, b3 = rows[high + i], rows[high + W + i], rows[high + W2 + i], rows[high + W3 + i]
-        b4, b5, b6, b7 = rows[high + W4 + i], rows[high + W5 + i], rows[high + W6 + i], rows[high + W7 + i]
-        b8, b9, b10 = rows[high + W8 + i], rows[high + W9 + i], rows[high + W10 + i]
-        sums[i] = w4 * (a0 + b3) + (w3 * (a1 + b2) + (w2 * (a2 + b1) + (w1 * (a3 + b0) + sums[i])))
-        sums[W + i] = w4 * (a1 + b4) + (w3 * (a2 + b3) + (w2 * (a3 + b2) + (w1 * (a4 + b1) + sums[W + i])))
-        sums[W2 + i] = w4 * (a2 + b5) + (w3 * (a3 + b4) + (w2 * (a4 + b3) + (w1 * (a5 + b2) + sums[W2 + i])))
-        sums[W3 + i] = w4 * (a3 + b6) + (w3 * (a4 + b5) + (w2 * (a5 + b4) + (w1 * (a6 + b3) + sums[W3 + i])))
-        sums[W4 + i] = w4 * (a4 + b7) + (w3 * (a5 + b6) + (w2 * (a6 + b5) + (w1 * (a7 + b4) + sums[W4 + i])))
-        sums[W5 + i] = w4 * (a5 + b8) + (w3 * (a6 + b7) + (w2 * (a7 + b6) + (w1 * (a8 + b5) + sums[W5 + i])))
-        sums[W6 + i] = w4 * (a6 + b9) + (w3 * (a7 + b8) + (w2 * (a8 + b7) + (w1 * (a9 + b6) + sums[W6 + i])))
-        sums[W7 + i] = w4 * (a7 + b10) + (w3 * (a8 + b9) + (w2 * (a9 + b8) + (w1 * (a10 + b7) + sums[W7 + i])))
-
-
-@njit(**COMPILE)
-def relax_band(road, relaxed, rows, stride, margin, cars, weights):
-    """relaxed <- road smoothed along x by the symmetric band `weights` (4 n + 1, padded with zeros).
-
-    Both (rows * stride,); needs margin >= ceil(half-width / rows) ghost columns, which are filled here.
-    """
-    half = weights.size - 1
-    for r in range(rows):
-        start = r * stride
-        for g in range(margin):
-            road[start + g] = road[start + margin + (g - margin) % cars]
-            road[start + margin + cars + g] = road[start + margin + g % cars]
-    deep = (rows + 7) // 8 * 8
-    source = aligned((deep + 2 * half) * BAND_TILE)
-    sums = aligned(8 * BAND_TILE)
-    for first in range(0, cars, BAND_TILE):
-        count = uint64(min(BAND_TILE, cars - first))
-        for r in range(-half, rows + half):
-            start = (r % rows) * stride + margin + first + r // rows
-            _copy(source, uint64((r + half) * BAND_TILE), road, uint64(start), count)
-        for r in range(0, rows, 8):
-            _weigh_centre(sums, source, uint64((r + half) * BAND_TILE), W8, weights[0])
-            for t in range(1, half + 1, 4):
-                _weigh_pairs(
-                    sums, source, uint64((r + half - t - 3) * BAND_TILE), uint64((r + half + t) * BAND_TILE),
-                    weights[t], weights[t + 1], weights[t + 2], weights[t + 3],
-                )  # fmt: skip
-            for q in range(min(8, rows - r)):
-                _copy(relaxed, uint64((r + q) * stride + margin + first), sums, uint64(q * BAND_TILE), count)
+def sweep_even(width: int, hold: int, kind: int, rows: int, parallel: bool = False):
+    """The compiled sweep for this width, hold (1, 3, 5), kind of law and rows."""
+    unroll = next(u for u in (4, 3, 2, 1) if rows % u == 0)
+    key = width, hold, kind, unroll, parallel
+    if key not in _sweeps:
+        _sweeps[key] = _make_sweep(*key)
+    return _sweeps[key]

@@ -13,7 +13,7 @@ from numba import njit, uint64
 
 from ..laws import CONSTANT
 from ..schemes.passage import contact_height
-from .even_kernels import COMPILE, aligned
+from .even_layout import COMPILE, aligned
 from .mixed_order import CAR, LENGTH, LEVEL, START, plan
 
 LANES = 32

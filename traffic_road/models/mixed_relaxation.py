@@ -7,7 +7,7 @@ from numba import njit, uint64
 
 from ..laws import Constant
 from ..schemes.relaxation import band, relax_law, relax_transform, symbol
-from .even_kernels import COMPILE
+from .even_layout import COMPILE
 
 TILE = 512  # nodes worked on at a time: they stay in the first-level cache
 

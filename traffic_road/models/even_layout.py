@@ -1,0 +1,154 @@
+"""Where the road and the cars of an even fleet lie in memory.
+
+The ring's blocks, one a headway and a car, are cut into `lanes` stretches of `tiles` blocks each, so far apart that they
+have nothing to do with each other for many headways. Lanes lie side by side, WIDTH (`width`) to a panel: the road is
+road[panel, row, lane], row = tile * rows + place in the block, and what one instruction works on are cars far apart.
+A car goes on in its lane, from tile to tile, one a headway; only from the last tile does it step over to the next lane.
+Where the count is no multiple of the lanes, those from `long` on are one block short: their tile 0 is not theirs. It is
+lent to the relaxation, as a copy of the last block of the lane before; and a panel has `margin` rows more at either end,
+for what lies before and behind its lanes.
+
+Cars are state[panel, slot, field, lane]: those in tile b when `done` headways are crossed have the slot (b - done) mod
+tiles, so that nothing need be moved but at the lanes' ends (`hand_over`).
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit, uint64
+
+WIDTH = 32  # lanes of a panel of a large fleet: four vectors, and the rows of a relaxation in the first-level cache
+NARROW = 8  # of a fleet below MANY, one vector
+MANY = 512  # cars from which on there are enough blocks for WIDTH lanes of many tiles
+PANEL = 2048  # cars of a panel: the road of one stays in the second-level cache, and threads share out panels
+COMPILE = {
+    "cache": True,
+    "error_model": "numpy",
+    "fastmath": {"contract"},
+}  # contract: fused multiply-add, NaN stays NaN
+
+
+class Layout(NamedTuple):
+    count: int  # cars, and blocks
+    rows: int  # nodes of a block
+    width: int
+    panels: int
+    tiles: int
+    lanes: int  # those in use
+    long: int  # lanes of `tiles` blocks; the others have one less
+    margin: int  # rows at either end of a panel
+
+    @property
+    def size(self) -> int:
+        """Numbers of the road, margins and all."""
+        return self.panels * (self.tiles * self.rows + 2 * self.margin) * self.width
+
+
+def layout(count: int, rows: int, margin: int = 0) -> Layout:
+    width = WIDTH if count >= MANY else NARROW if count >= NARROW // 2 else 1
+    panels = 1 << max(0, (count // PANEL).bit_length() - 1)
+    lanes = min(count, width * panels)
+    tiles = -(-count // lanes)
+    return Layout(count, rows, width, panels, tiles, lanes, count - lanes * (tiles - 1), margin)
+
+
+@njit(**COMPILE)
+def aligned(size):
+    """Zeros that start at a cache line: the loops read and write whole lines."""
+    wide = np.zeros(size + 8)
+    skip = (64 - wide.ctypes.data % 64) % 64 // 8
+    return wide[skip : skip + size]
+
+
+@njit(**COMPILE)
+def copy(target, to, source, start, count):
+    to, start = uint64(to), uint64(start)
+    for i in range(uint64(count)):
+        target[to + i] = source[start + i]
+
+
+@njit(**COMPILE)
+def place(block, layout):
+    """Panel, tile and lane in the panel of a block."""
+    split = layout.long * layout.tiles
+    if block < split:
+        lane, tile = block // layout.tiles, block % layout.tiles
+    else:
+        lane, tile = layout.long + (block - split) // (layout.tiles - 1), 1 + (block - split) % (layout.tiles - 1)
+    return lane // layout.width, tile, lane % layout.width
+
+
+@njit(**COMPILE)
+def row_of(panel, row, layout):
+    """Index in the flat road of a row of a panel, at its first lane."""
+    return (panel * (layout.tiles * layout.rows + 2 * layout.margin) + layout.margin + row) * layout.width
+
+
+@njit(**COMPILE)
+def put(road, heights, first, layout):
+    """road <- heights (nodes,) by node, node `first` being the first of block 0."""
+    nodes = heights.size
+    for block in range(layout.count):
+        panel, tile, lane = place(block, layout)
+        at = row_of(panel, tile * layout.rows, layout) + lane
+        for r in range(layout.rows):
+            road[at + r * layout.width] = heights[(first + block * layout.rows + r) % nodes]
+
+
+@njit(**COMPILE)
+def get(heights, road, first, layout):
+    """heights (nodes,) by node <- road; the other way round."""
+    nodes = heights.size
+    for block in range(layout.count):
+        panel, tile, lane = place(block, layout)
+        at = row_of(panel, tile * layout.rows, layout) + lane
+        for r in range(layout.rows):
+            heights[(first + block * layout.rows + r) % nodes] = road[at + r * layout.width]
+
+
+@njit(**COMPILE)
+def slots(done, layout):
+    """Index in state[:, :, field 0, :] of each car (count,), as (panel * tiles + slot, lane) pairs (2, count).
+
+    By the order of the cars at the start; after `done` headways car c is at the start of block c + done.
+    """
+    out = np.empty((2, layout.count), dtype=np.int64)
+    for car in range(layout.count):
+        panel, tile, lane = place((car + done) % layout.count, layout)
+        out[0, car] = panel * layout.tiles + (tile - done) % layout.tiles
+        out[1, car] = lane
+    return out
+
+
+@njit(**COMPILE)
+def hand_over(state, begin, end, layout):
+    """Cars that crossed the last tile before headway begin <= `done` < end step over to the next lane: into tile 0, or 1
+    of a short lane.
+
+    state (panels, tiles, fields, width). Those of tile 0 take the slot that the others leave.
+    """
+    for done in range(begin, end):
+        _hand_over(state, done, layout)
+
+
+@njit(**COMPILE)
+def _hand_over(state, done, layout):
+    retired = -done % layout.tiles
+    after = (1 - done) % layout.tiles
+    last = layout.lanes - 1
+    fields = state.shape[2]
+    wrapped = state[last // layout.width, retired, :, last % layout.width].copy()
+    for lane in range(last, 0, -1):
+        slot = retired if lane < layout.long else after
+        panel, i, from_panel, j = (
+            lane // layout.width,
+            lane % layout.width,
+            (lane - 1) // layout.width,
+            (lane - 1) % layout.width,
+        )
+        for f in range(fields):
+            state[panel, slot, f, i] = state[from_panel, retired, f, j]
+    for f in range(fields):
+        state[0, retired, f, 0] = wrapped[f]
