@@ -418,7 +418,9 @@ def test_any_number_of_cars_is_the_kernel_of_mixed_fleets(count, rows, hold, dif
     times = cars.sample_times(case, [0.0, 8 * 0.87, 24 * 0.87], numerics)
     both = cars.samples(case, times, numerics), mixed_samples(case, times, **numerics)
     for even, mixed in zip(*([s for s in kind if isinstance(s, Sample)] for kind in both), strict=True):
-        assert even.updates == mixed.updates and even.airborne == mixed.airborne
+        assert even.updates == mixed.updates
+        if softness != 0.0:  # on a rigid road the one counts cars in the air, the other nodes not pressed down, none
+            assert even.airborne == mixed.airborne
         for name in ("road_height", "car_height", "contact_force", "where"):
             # relaxed by bands, exact to 1e-10, or by none
             found, wanted = getattr(even, name), getattr(mixed, name)

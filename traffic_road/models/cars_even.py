@@ -124,7 +124,9 @@ class _Cars:
 
     def lower(self, level):
         """Takes `level` off all heights of the cars."""
-        self.state[:, 1:FIELDS] -= self.factor * level
+        self.state[:, 1:FIELDS] -= (
+            self.factor * (1.0 - self.newest) * level
+        )  # z* is Z less newest times a contact height
         self.state[:, FIELDS:] -= level
 
     def cross(self, road, done, headways):
