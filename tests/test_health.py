@@ -107,7 +107,7 @@ def test_a_number_lost_is_told():
         assert watch.trouble(road) is None
         lost = road.copy()
         lost[7] = bad
-        assert "a number was lost" in watch.trouble(lost) and "numerical" in watch.trouble(lost)
+        assert "no number" in watch.trouble(lost) and "numerical" in watch.trouble(lost)
 
 
 def test_a_road_that_saturates_is_left_alone():
@@ -194,10 +194,13 @@ def test_a_run_outside_a_limit_goes_on_from_its_checkpoint(tmp_path):
 
 @pytest.mark.parametrize("model", ["cars", "continuum"])
 def test_a_run_that_diverges_between_two_samples_is_stopped_there(model, monkeypatch):
-    # lift_off=False: nothing holds the wave, which passes RUNAWAY at about time 3000 of a run of a million
+    # lift_off=False: nothing holds the wave, which passes RUNAWAY at about time 1000 of a run of a million
     monkeypatch.setattr(models, "PACE", 0.0)
+    looks, trouble = [], Watch.trouble
+    monkeypatch.setattr(Watch, "trouble", lambda self, heights: looks.append(1) or trouble(self, heights))
     road = tr.Road(2 * np.pi / 0.9, softness=0.05, diffusivity=tr.Exponential(0.01, 1e-9), profile=tr.Sine(1.0, 0.9))
     wild = tr.Scene(road, tr.Fleet(8, 0.1), duration=1e6, lift_off=False)
     ds = tr.simulate(wild, model, samples=2, nodes=32)
-    end = float(ds.status.split(":")[0].removeprefix("diverged between time 0 and "))
-    assert ds.time.size == 1 and 100 < end < 1e4 and "lift_off=False holds nothing" in ds.status
+    assert ds.time.size == 1 and ds.status.startswith("diverged between time 0 and ")
+    assert "lift_off=False holds nothing" in ds.status
+    assert 5 < len(looks) < 5000  # of a million looks or so

@@ -73,7 +73,7 @@ def test_a_streamed_run_is_what_memory_holds(name, monkeypatch):
 
 
 def test_the_file_can_be_read_at_any_moment():
-    case = scene(duration=6000.0, speed=SPEEDS)
+    case = scene(duration=40000.0, speed=SPEEDS)
     case.to_toml("scene.toml")
     quick = START.replace(
         "sys.exit", "from traffic_road import keeper; keeper.FIRST = 0.02; keeper.SHARE = 0.5; sys.exit"
@@ -89,7 +89,7 @@ def test_the_file_can_be_read_at_any_moment():
         "-o",
         "out.nc",
         "--samples",
-        "3001",
+        "20001",
         "--nodes",
         "64",
     ]
@@ -104,7 +104,7 @@ def test_the_file_can_be_read_at_any_moment():
     sizes = [size for size, _ in seen]
     assert sizes == sorted(sizes) and len(set(sizes)) > 5
     assert "unfinished: has reached time" in seen[0][1] and tr.open("out.nc").status == "ok"
-    assert tr.open("out.nc").time.size == 3001
+    assert tr.open("out.nc").time.size == 20001
 
 
 def test_memory_does_not_grow_with_the_number_of_samples():
@@ -205,6 +205,8 @@ def test_control_c_ends_the_command_within_two_seconds_and_says_how_to_go_on():
         START,
         "run",
         "scene.toml",
+        "--model",
+        "cars",
         "-o",
         "out.nc",
         "--samples",
@@ -226,7 +228,7 @@ def test_control_c_ends_the_command_within_two_seconds_and_says_how_to_go_on():
             out, err = run.communicate(timeout=15)
             # seconds of the process's own, since the machine may be busy with others
             assert sum(resource.getrusage(resource.RUSAGE_CHILDREN)[:2]) - before < 2.0
-        assert run.returncode == 1 and out == "" and len(err.splitlines()) == 1
+        assert run.returncode == 1 and out == "" and len(err.splitlines()) == 1, err
         assert "interrupted: time " in err and f"traffic-road run --resume '{os.getcwd()}/c 1'" in err
     facts, state = checkpoint.read("c 1")
     assert 0 < facts["time"] < 40000 and state["road"].size == 64
@@ -386,6 +388,8 @@ def test_a_full_disk(more):
         "scene.toml",
         "-o",
         "out.nc",
+        "--model",
+        "cars",
         "--samples",
         "300",
         "--nodes",

@@ -55,10 +55,11 @@ class Watch:
             self.most = min(max(self.most, most), RUNAWAY)
             if size < self.most:
                 return None
-        found = f"corrugation {size:.3g}" if np.isfinite(size) else "a number was lost (NaN or infinite)"
+        # the same words whenever the clock has made it look
+        found = f"corrugation beyond {self.most:.3g}, or no number (NaN)"
         if self.outside:
             return f"{found}; numerical: {self.outside}"
-        if self.growth.possible or (not np.isfinite(size) and self.growth.unknown):
+        if self.growth.possible:
             return f"{found}; {self.growth.reason}"
         return f"{found}; numerical: {self.growth.reason}; use more nodes, a shorter step or relax more often"
 

@@ -224,7 +224,7 @@ def _collect(keeper, module, times, numerics, progress, outside) -> str:
         for item in module.samples(scene, times, numerics, keeper.state):
             if isinstance(item, Breath):
                 if trouble := watch.trouble(item.heights()):
-                    return f"diverged between time {keeper.last.time:.6g} and {item.time:.6g}: {trouble}"
+                    return _diverged(keeper, times, trouble)
                 keeper.breathe(item)
                 continue
             if not keeper.count and keeper.output is None:
@@ -236,12 +236,16 @@ def _collect(keeper, module, times, numerics, progress, outside) -> str:
                     "lower the profile"
                 )
             if trouble := watch.trouble(road_height):
-                return f"diverged between time {keeper.last.time:.6g} and {item.time:.6g}: {trouble}"
+                return _diverged(keeper, times, trouble)
             keeper.append(item)
             bar.update()
             if report is not None:
                 report(keeper.count / len(times))
     return "ok"
+
+
+def _diverged(keeper, times, trouble) -> str:
+    return f"diverged between time {keeper.last.time:.6g} and {times[keeper.count]:.6g}: {trouble}"
 
 
 def _refuse_too_many(sample: Sample, held: int) -> None:
