@@ -159,7 +159,7 @@ def main() -> None:
         "level": (("time", "wave"), raised.astype("f4"), {"long_name": "change of the mean level", "units": "1"}),
     }
     coords = {
-        "mode": ["packet", "level"],
+        "mode": ("mode", ["packet", "level"], {"long_name": "what of the wave changes slowly"}),
         "order": ("order", orders, {"long_name": "envelope wavenumber times number of waves / k", "units": "1"}),
         "time": small.time,
         "wave": ("wave", np.arange(waves) - PLACE * waves, {"long_name": "wavelengths from the bump", "units": "1"}),

@@ -258,7 +258,9 @@ def dataset(rows) -> xr.Dataset:
         "title": "Plans of random scenes against references and a search",
         "seed": SEED,
     }
-    return xr.Dataset(data, {"scene": np.arange(len(rows))}, attributes)
+    return xr.Dataset(
+        data, {"scene": ("scene", np.arange(len(rows)), {"long_name": "number of the scene", "units": "1"})}, attributes
+    )
 
 
 def verdict(ds) -> dict:

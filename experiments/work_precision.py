@@ -269,6 +269,22 @@ def table(ds) -> None:
                     print(f"{name:<10} {question:<10} {decade:.0e}  {one.seconds.item() * 1e3:9.3f} ms  {what}")
 
 
+COLUMNS = {  # of the Dataset: long_name, units
+    "scene": ("what was run",),
+    "question": ("what it is compared with",),
+    "method": ("method",),
+    "setting": ("resolution",),
+    "seconds": ("time of the run", "s"),
+    "error": ("relative error of the road", "1"),
+    "growth_error": ("error of the growth rate", "1"),
+    "velocity_error": ("error of the phase velocity", "1"),
+    "wave_error": ("relative error of the first harmonic", "1"),
+    "updates": ("node updates", "1"),
+    "steps": ("time steps", "1"),
+    "reason": ("why the run failed; empty if it did not",),
+}
+
+
 def main() -> None:
     chosen = options(__doc__)
     quick, rows, checked = chosen.quick, [], {}
@@ -282,29 +298,11 @@ def main() -> None:
         checked[name, "continuum"] = of_continuum(name, rows, quick)
         of_models(name, rows, reference, quick)
         print(f"{name}: {process_time():.0f} s")
-    names = (
-        "scene",
-        "question",
-        "method",
-        "setting",
-        "seconds",
-        "error",
-        "growth_error",
-        "velocity_error",
-        "wave_error",
-    )
-    names += ("updates", "steps", "reason")
-    units = {
-        "seconds": "s",
-        "error": "1",
-        "growth_error": "1",
-        "velocity_error": "1",
-        "wave_error": "1",
-        "updates": "1",
-        "steps": "1",
-    }
-    columns = dict(zip(names, map(np.array, zip(*rows, strict=True)), strict=True))
-    ds = xr.Dataset({n: ("run", c, {"units": units[n]} if n in units else {}) for n, c in columns.items()})
+    columns = dict(zip(COLUMNS, map(np.array, zip(*rows, strict=True)), strict=True))
+    data = {}
+    for name, (long_name, *units) in COLUMNS.items():
+        data[name] = ("run", columns[name], {"long_name": long_name} | ({"units": units[0]} if units else {}))
+    ds = xr.Dataset(data)
     on = np.zeros(ds.run.size, dtype=bool)
     for key in sorted(set(zip(columns["scene"], columns["question"], strict=True))):
         mine = (columns["scene"] == key[0]) & (columns["question"] == key[1]) & (columns["reason"] == "")

@@ -4,5 +4,5 @@ from hypothesis import HealthCheck, settings
 
 COMMON = {"deadline": None, "suppress_health_check": list(HealthCheck), "database": None}
 settings.register_profile("few", max_examples=40, derandomize=True, **COMMON)
-settings.register_profile("full", max_examples=2000, print_blob=True, **COMMON)
+settings.register_profile("full", max_examples=1000, print_blob=True, **COMMON)
 settings.load_profile("few")
