@@ -12,6 +12,7 @@ from traffic_road.health import ALARM, RUNAWAY, Watch, foreseen, lift_off_height
 from traffic_road.schemes.oscillator import propagator
 from traffic_road.schemes.ring import Ring
 from traffic_road.theory import dispersion, neutral_softness, saturation_limit
+from traffic_road.theory.stability import unstable
 
 K, DAMPING = 0.9, 0.1
 
@@ -36,6 +37,15 @@ def test_growth_beyond_the_saturation_limit_is_foretold():
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         tr.simulate(scene(0.99 * limit(), duration=5.0), "continuum", samples=2)
+
+
+def test_unstable_is_what_the_neutral_softness_says():
+    draw = np.random.default_rng(7).uniform
+    k, diffusivity, damping = 10 ** draw(-2, 1, 10000), 10 ** draw(-4, 0, 10000), 10 ** draw(-3, 1, 10000)
+    neutral = neutral_softness(k, diffusivity=diffusivity, damping=damping)
+    assert unstable(k, neutral * (1 + 1e-10), diffusivity, damping).all()
+    assert not unstable(k, neutral * (1 - 1e-10), diffusivity, damping).any()
+    assert unstable(np.array([0.5, 1.0, 2.0]), 1e-3, 0.0, 0.1).tolist() == [True, True, False]  # without diffusion
 
 
 def test_only_what_reaches_lift_off_is_foretold():

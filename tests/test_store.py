@@ -323,3 +323,14 @@ def test_no_result_to_run_again(results):
         assert "missing or damaged" in refusal(tr.rerun, ds)
     with pytest.raises(tr.SceneError, match="model = 'truck'"):
         tr.rerun(results["cars"].assign_attrs(model="truck"))
+
+
+@pytest.mark.parametrize("model", ["cars", "continuum"])
+def test_the_dataset_is_what_its_constructor_makes(model):
+    ds = tr.simulate(tr.preset("paper"), model, samples=3, tolerance=1.0)
+    parts = ({n: (v.dims, v.values, v.attrs) for n, v in part.items()} for part in (ds.data_vars, ds.coords))
+    made = xr.Dataset(*parts, ds.attrs)
+    assert ds.identical(made) and ds.sizes == made.sizes and list(ds.indexes) == list(made.indexes)
+    assert ds.sel(x=ds.x[5], time=0.0).identical(made.sel(x=made.x[5], time=0.0))
+    assert ds.isel(time=0).copy(deep=True).to_dict() == made.isel(time=0).to_dict()
+    assert xr.concat([ds, ds.assign_coords(time=ds.time + 1e6)], "time").sizes["time"] == 2 * ds.sizes["time"]

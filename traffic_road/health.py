@@ -15,7 +15,7 @@ import numpy as np
 from .errors import TrafficRoadError
 from .laws import Constant
 from .theory.dispersion import dispersion, fleet_dispersion
-from .theory.stability import gain, neutral_softness
+from .theory.stability import gain, neutral_softness, unstable
 from .theory.waves import saturation_limit
 
 RUNAWAY = 1e12  # corrugation (g/omega_0^2) beyond which the road has blown up and rounding eats what is left
@@ -35,12 +35,9 @@ class Watch:
     def __init__(self, scene, outside: str | None = None):
         """outside: the stability limit that the run was started beyond, if any, for study: only RUNAWAY ends it."""
         self.scene, self.outside = scene, outside
-        road = scene.road
-        deflection = 1 / np.min(scene.fleet.per_car("frequency")) ** 2
-        self.start = deflection + corrugation(
-            road.profile.sample(road.length, 4 * road.profile.highest_wave(road.length) + 4)
-        )
+        self.start = float(1 / np.min(scene.fleet.frequency) ** 2)  # and the profile, from the first look that needs it
         self.most = RUNAWAY if outside else min(ALARM * self.start, RUNAWAY)
+        self.knows_profile = bool(outside)
         self.growth: Growth | None = None
 
     def trouble(self, road_height) -> str | None:
@@ -48,6 +45,12 @@ class Watch:
         size = corrugation(road_height)
         if size < self.most:
             return None
+        if not self.knows_profile:
+            profile, length = self.scene.road.profile, self.scene.road.length
+            self.start += corrugation(profile.sample(length, 4 * profile.highest_wave(length) + 4))
+            self.most, self.knows_profile = min(ALARM * self.start, RUNAWAY), True
+            if size < self.most:
+                return None
         if self.growth is None:
             height = float(np.mean(road_height))
             self.growth = unheld_growth(self.scene, height if np.isfinite(height) else 0.0)
@@ -145,7 +148,7 @@ def foreseen(scene) -> str | None:
     if not candidate.any():
         return None
     # twice the exact one a test that costs little
-    candidate[candidate] = alpha > 2 * neutral_softness(k[candidate] * unit.length, diffusivity=delta, damping=damping)
+    candidate[candidate] = unstable(k[candidate] * unit.length, alpha / 2, delta, damping)
     if not candidate.any():
         return None
     k, wave = k[candidate], wave[candidate]

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import os
+import sys
 import time as clock
 import warnings
+from contextlib import nullcontext
 from dataclasses import asdict, replace
 
 import numpy as np
@@ -217,10 +219,10 @@ def _collect(keeper, module, times, numerics, progress, outside) -> str:
     scene, times = keeper.job.scene, module.sample_times(keeper.job.scene, times, numerics)
     watch = Watch(scene, outside)
     report = progress if callable(progress) else None
-    # progress None: only in a terminal (disable=None), and only for what takes longer than two seconds
-    disable = None if progress is None else progress is not True
-    bar = tqdm(total=len(times), initial=keeper.count, delay=2, disable=disable, leave=False, unit="sample")
-    with np.errstate(all="ignore"), bar:
+    # progress None: only in a terminal, and only for what takes longer than two seconds
+    shown = progress is True or (progress is None and sys.stderr is not None and sys.stderr.isatty())
+    bar = tqdm(total=len(times), initial=keeper.count, delay=2, leave=False, unit="sample") if shown else None
+    with np.errstate(all="ignore"), bar or nullcontext():
         for item in module.samples(scene, times, numerics, keeper.state):
             if isinstance(item, Breath):
                 if trouble := watch.trouble(item.heights()):
@@ -238,7 +240,8 @@ def _collect(keeper, module, times, numerics, progress, outside) -> str:
             if trouble := watch.trouble(road_height):
                 return _diverged(keeper, times, trouble)
             keeper.append(item)
-            bar.update()
+            if bar is not None:
+                bar.update()
             if report is not None:
                 report(keeper.count / len(times))
     return "ok"

@@ -69,6 +69,18 @@ def neutral_softness(k, *, diffusivity, damping, hardening_rate=0.0):
     return np.where(k > 0, softness, np.where(rate > 0, np.inf, np.nan))[()]
 
 
+def unstable(k, softness, diffusivity, damping):
+    """Whether softness > `neutral_softness`, without hardening and without a search. Plain arrays k > 0, damping > 0.
+
+    Own derivation. Both parts of the cubic at neutrality fall with kappa, where alpha does: the softness is beyond neutral if
+    the kappa that solves the second for it, a quadratic, is below the one that solves the first.
+    """
+    total = diffusivity * k**2
+    stiff = softness + total + 2 * damping
+    kappa = (damping * k + np.sqrt((damping * k) ** 2 + stiff * total)) / stiff
+    return (kappa < np.minimum(k, 1.0)) & ((k - kappa) * (1 - kappa**2) > 2 * damping * kappa * total)
+
+
 def stability_boundary(damping, points: int = 401) -> xr.Dataset:
     """Stability boundary of Fig. 3 (leading order), along the wavenumber k of the mode that is neutral on it.
 
