@@ -8,6 +8,7 @@ import pytest
 import traffic_road as tr
 from traffic_road.estimate import corrugation_difference
 from traffic_road.models import cars, continuum
+from traffic_road.theory import dispersion_roots
 
 K = 0.9
 
@@ -154,3 +155,42 @@ def test_bad_arguments_are_one_line(arguments):
         tr.simulate(scene(), **arguments)
     assert "\n" not in str(error.value)
     assert str(next(reversed(arguments.values()))) in str(error.value) or next(reversed(arguments)) in str(error.value)
+
+
+# ---- a run without steps: its error is what rounding leaves, grown
+
+
+@pytest.mark.parametrize("damping", [0.02, 0.1, 0.5])
+@pytest.mark.parametrize(("k", "duration"), [(0.3, 400.0), (0.3, 3000.0), (1.0, 800.0), (1.7, 400.0), (1.7, 3000.0)])
+def test_error_estimate_without_steps_is_true(k, duration, damping):
+    # k = 0.3 has k = 0.9 on its ring, not in the profile, that grows from rounding, at the lower damping past the profile
+    road = tr.Road(2 * np.pi / k, 0.006, 0.01, tr.Sine(1e-3, k, np.pi / 2))
+    scene = tr.Scene(road, tr.Fleet(1, damping), duration, lift_off=False)
+    ds = tr.simulate(scene, "continuum", samples=2, tolerance=2.0)
+    if "flat to rounding" in ds.error_method:
+        assert np.ptp(ds.road_height.values[-1]) < 1e-12
+        return
+    assert "rounding" in ds.error_method
+    # the wave by its three roots, in the numbers of most digits there are
+    sigma = dispersion_roots(k, softness=0.006, diffusivity=0.01, damping=damping).astype(np.clongdouble)
+    ik = np.clongdouble(1j) * (2 * np.longdouble(np.pi) / np.longdouble(scene.road.length))
+    loss = -np.longdouble(0.01) * ik**2
+    for _ in range(5):
+        s = sigma + ik
+        car = s**2 + 2 * np.longdouble(damping) * s + 1
+        value = (sigma + loss) * car + np.longdouble(0.006) * s**2
+        sigma -= value / (car + 2 * (sigma + loss) * (s + damping) + 2 * np.longdouble(0.006) * s)
+    s = sigma + ik
+    # H, Y and P of each root's vector; the start is the settled one
+    response = -(s**2) / (s**2 + 2 * np.longdouble(damping) * s + 1)
+    vectors = np.array([np.ones(3), response, -response / s])
+    settled = -(ik**2) / (ik**2 + 2 * np.longdouble(damping) * ik + 1)
+    start = np.array([1, settled, -settled / ik])
+    share = np.linalg.solve(vectors.astype(complex), start.astype(complex)).astype(np.clongdouble)
+    for _ in range(3):
+        share += np.linalg.solve(vectors.astype(complex), (start - (vectors * share).sum(axis=1)).astype(complex))
+    wave = complex((share * np.exp(sigma * duration)).sum()) * 1e-3
+    height = ds.road_height.values[-1]
+    exact = (wave * np.exp(2j * np.pi * np.arange(height.size) / height.size)).real
+    error = np.sqrt(np.mean((height - height.mean() - exact) ** 2)) / np.std(height)
+    assert error <= ds.error_estimate <= 300 * error

@@ -15,6 +15,7 @@ import numpy as np
 from .laws import Constant
 from .models import Sample, model
 from .models.cars_state import even_start, sink_rate
+from .models.continuum_state import left_by_rounding, linear_throughout
 from .scene import Fleet, Road
 from .theory.floquet import floquet_mode
 
@@ -33,6 +34,9 @@ def error_estimate(scene, name: str, numerics: dict, last: Sample, pair_ratio=No
     if name == "cars" and _is_linear(scene, numerics, last):
         error = np.hypot(_of_waves(scene, numerics, last), _of_ripple(scene, numerics, last))
         method = "growth rates and ripple, of the scheme and of a finer one"
+    elif name == "continuum" and linear_throughout(scene, numerics["nodes"], last.time):
+        error = left_by_rounding(scene, last.road_height, last.time)
+        method = "rounding: linear throughout, one matrix exponential a wave"
     else:
         # half the resolution costs half a run or less; where that is too little to run, twice
         quick = name == "linear" and numerics["nodes"] <= FINE_ROWS // 2 * scene.fleet.count

@@ -34,7 +34,7 @@ from ..errors import SceneError
 from ..laws import finite
 from ..memory import refuse_beyond_memory
 from . import Breath, Pace, Sample
-from .continuum_state import Continuum, Kinds, constant, modes
+from .continuum_state import Continuum, Kinds, constant, linear_throughout, modes, start
 
 KEYWORDS = ("nodes", "step")
 PAIR_RATIO = 2.0  # a pair of runs differs by 3 times the error of the better one at order 2, by more at order 4
@@ -75,10 +75,10 @@ def numerics(scene, given: dict) -> dict:
     wave = np.abs(rfft(height, norm="forward"))
     if nodes % 2 == 0 and wave[-1] > 1e-14 * wave.max():  # a wave of two nodes: where it moves cannot be told
         raise SceneError(f"nodes = {nodes}: the profile has {nodes // 2} waves on the ring; use nodes >= {nodes + 1}")
-    start = Continuum(scene, nodes)
-    if not np.isfinite([start.alpha, start.delta, np.abs(start.state).sum()]).all():
+    begin = start(scene, nodes)
+    if not np.isfinite([begin.alpha, begin.delta, np.abs(begin.state).sum()]).all():
         raise SceneError(
-            f"Road: softness {start.alpha:g} and diffusivity {start.delta:g} at the start are too large; "
+            f"Road: softness {begin.alpha:g} and diffusivity {begin.delta:g} at the start are too large; "
             f"use a lower value or hardening, or a lower profile"
         )
     return {"nodes": nodes, "step": step}
@@ -108,7 +108,7 @@ def samples(scene, times, numerics: dict, state: dict | None = None):
     that is exact. An overflowed state is yielded as it is. Between samples a Breath, see `models`; `state` is that of one.
     """
     continuum = Continuum(scene, numerics["nodes"])
-    always_linear = continuum.stays_linear(float(times[-1]))
+    always_linear = linear_throughout(scene, numerics["nodes"], float(times[-1]))
 
     def leave():
         run = {"taken": taken, "now": now, "updates": updates, "steps": steps, "left": left, "length": length}

@@ -54,66 +54,108 @@ def constant(road) -> bool:
     return isinstance(road.softness, Constant) and isinstance(road.diffusivity, Constant)
 
 
+class Start(NamedTuple):
+    """What a scene on a grid begins with; not to be changed."""
+
+    kinds: Kinds
+    state: np.ndarray  # H, then Y of each kind, then P of each kind, shape (1 + 2 kinds, modes)
+    alpha: float
+    delta: float
+    linear: tuple[np.ndarray, np.ndarray]  # of `linear_part`
+
+
 @lru_cache(maxsize=2)  # asked for by `numerics`, and again by the run that follows
-def _start(scene, nodes: int) -> np.ndarray:
-    """The state at the start: H, then Y of each kind, then P of each kind, shape (1 + 2 kinds, modes)."""
+@np.errstate(all="ignore")  # here and below: what overflows stays non-finite, without a warning
+def start(scene, nodes: int) -> Start:
     road, fleet, kinds = scene.road, scene.fleet, Kinds.of(scene.fleet)
     height = road.profile.sample(road.length, nodes)
-    Y = P = np.zeros((len(kinds.speed), nodes))
+    fields = np.zeros((1 + 2 * len(kinds.speed), nodes))
+    fields[0] = height
     if fleet.start == "settled":
         sink_rate = float(road.softness(height.mean()) * kinds.weight.sum())
         cars = zip(*(value[:, 0] for value in kinds[:3]), strict=True)
         Z, P = np.moveaxis([settled(height, road.length, *car, sink_rate) for car in cars], 1, 0)
-        Y = Z - height
-    return rfft(np.concatenate((height[None], Y, P)), norm="forward")[:, : modes(nodes)]
+        fields[1:] = np.concatenate((Z - height, P))
+    state = rfft(fields, norm="forward")[:, : modes(nodes)]
+    alpha, delta = references(road, state, nodes)
+    return Start(kinds, state, alpha, delta, linear_part(kinds, _wavenumbers(road, nodes), alpha, delta))
+
+
+def _wavenumbers(road, nodes: int) -> np.ndarray:
+    return 2 * np.pi / road.length * np.arange(modes(nodes))
+
+
+def linear_part(kinds: Kinds, k: np.ndarray, alpha: float, delta: float) -> tuple[np.ndarray, np.ndarray]:
+    """The linear part: the matrix of every wave, (modes, size, size), and where the remainder acts, (size,)."""
+    n = len(kinds.speed)
+    speed, omega, damping = (value[:, 0] for value in kinds[:3])
+    H, Y, P = 0, np.arange(1, n + 1), np.arange(n + 1, 2 * n + 1)
+    ik = 1j * k[:, None]
+    road = np.zeros((k.size, 1 + 2 * n), dtype=complex)  # dH/dt, a row of the system
+    road[:, H] = -delta * k**2
+    road[:, Y] = alpha * kinds.weight[:, 0] * omega**2
+    system = np.zeros((*road.shape, 1 + 2 * n), dtype=complex)
+    system[:, Y, Y] = -ik * speed - 2 * damping * omega
+    system[:, Y, P] = 1.0
+    system[:, Y, H] = -ik * speed
+    system[:, Y] -= road[:, None]
+    system[:, P, Y] = -(omega**2)
+    system[:, P, P] = -ik * speed
+    system[:, H] = road
+    source = np.zeros(1 + 2 * n)  # what moves the road moves it relative to the cars
+    source[H], source[Y] = 1.0, -1.0
+    return system, source
+
+
+def references(road, state, nodes: int) -> tuple[float, float]:
+    """Softness at the mean height of the road, and the largest diffusivity on it (laws do not decrease with H)."""
+    if constant(road):
+        return road.softness.value, road.diffusivity.value
+    varies = not isinstance(road.diffusivity, Constant)
+    highest = irfft(state[0], n=OVERSAMPLING * nodes, norm="forward").max() if varies else 0.0
+    return float(road.softness(state[0, 0].real)), float(road.diffusivity(highest))
+
+
+@lru_cache(maxsize=2)  # asked for by the run, and again by its error estimate
+def linear_throughout(scene, nodes: int, duration: float) -> bool:
+    """Whether it is certain from the start that no law varies and no car takes off: then the run takes no steps."""
+    return Continuum(scene, nodes).stays_linear(duration)
+
+
+def left_by_rounding(scene, road_height, time: float) -> float:
+    """Root mean square error, mean removed, at `time` of a run without steps, exact but for the rounding of numbers.
+
+    Waves that the profile has not are nothing but that, grown. The others begin with the profile's, relative to them, and
+    the exponential of L t is off as if L were by a rounding of its norm, which acts on a car's state, too.
+    """
+    nodes, eps = road_height.size, np.finfo(float).eps
+    begin = start(scene, nodes)
+    wave = np.abs(rfft(road_height, norm="forward"))[1 : begin.state.shape[1]]
+    first = np.abs(begin.state[:, 1:])
+    error, highest = wave.copy(), first[0].max(initial=0.0)
+    present = np.flatnonzero(first[0] > 1e-14 * highest)
+    norm = np.abs(begin.linear[0][present + 1]).sum(axis=2).max(axis=1)
+    state = np.linalg.norm(first[:, present], axis=0)
+    error[present] *= np.minimum(1.0, eps * (highest + time * norm * state) / first[0, present])
+    return float(np.sqrt(2) * np.linalg.norm(error))
 
 
 class Continuum:
     """The state of cars and road, (1 + 2 kinds, modes), and how it moves on."""
 
-    @np.errstate(all="ignore")  # here and below: what overflows stays non-finite, without a warning
     def __init__(self, scene, nodes: int):
-        self.kinds = kinds = Kinds.of(scene.fleet)
-        self.softness, self.diffusivity = scene.road.softness, scene.road.diffusivity
+        self.kinds, state, self.alpha, self.delta, self.linear = start(scene, nodes)
+        kinds, self.road = self.kinds, scene.road
         self.constant = constant(scene.road)
         self.lift_off = scene.lift_off
         self.nodes, self.fine = nodes, OVERSAMPLING * nodes
-        self.k = 2 * np.pi / scene.road.length * np.arange(modes(nodes))
+        self.k = _wavenumbers(scene.road, nodes)
         self.count = len(kinds.speed)
         self.square, self.weight = kinds.frequency[:, 0] ** 2, kinds.weight[:, 0]
-        self.state = _start(scene, nodes).copy()
-        self.step, self.alpha, self.delta = 0.0, *self.references()
+        self.state, self.step = state.copy(), 0.0
         self.few = nodes <= (FEW_NODES if self.constant else FEW_NODES_VARYING)
-        self.laws = np.array([*self.softness.kernel, *self.diffusivity.kernel], dtype=float)
-        self.linear = self.linear_part()
+        self.laws = np.array([*scene.road.softness.kernel, *scene.road.diffusivity.kernel], dtype=float)
         self.decay = self.table = self.half = None  # made when needed
-
-    def references(self) -> tuple[float, float]:
-        """Softness at the mean height of the road, and the largest diffusivity on it (laws do not decrease with H)."""
-        varies = not isinstance(self.diffusivity, Constant)
-        highest = irfft(self.state[0], n=self.fine, norm="forward").max() if varies else 0.0
-        return float(self.softness(self.state[0, 0].real)), float(self.diffusivity(highest))
-
-    def linear_part(self) -> tuple[np.ndarray, np.ndarray]:
-        """The linear part: the matrix of every wave, (modes, size, size), and where the remainder acts, (size,)."""
-        kinds, n = self.kinds, self.count
-        speed, omega, damping = (value[:, 0] for value in kinds[:3])
-        H, Y, P = 0, np.arange(1, n + 1), np.arange(n + 1, 2 * n + 1)
-        ik = 1j * self.k[:, None]
-        road = np.zeros((self.k.size, 1 + 2 * n), dtype=complex)  # dH/dt, a row of the system
-        road[:, H] = -self.delta * self.k**2
-        road[:, Y] = self.alpha * self.weight * self.square
-        system = np.zeros((*road.shape, 1 + 2 * n), dtype=complex)
-        system[:, Y, Y] = -ik * speed - 2 * damping * omega
-        system[:, Y, P] = 1.0
-        system[:, Y, H] = -ik * speed
-        system[:, Y] -= road[:, None]
-        system[:, P, Y] = -self.square
-        system[:, P, P] = -ik * speed
-        system[:, H] = road
-        source = np.zeros(1 + 2 * n)  # what moves the road moves it relative to the cars
-        source[H], source[Y] = 1.0, -1.0
-        return system, source
 
     def build(self, step: float) -> None:
         """Solve the linear part, of every wave, over `step` and half of it."""
@@ -131,7 +173,7 @@ class Continuum:
         """Be as `leave` left it."""
         self.state = left["state"].copy()
         self.alpha, self.delta = left["alpha"], left["delta"]
-        self.linear = self.linear_part()
+        self.linear = linear_part(self.kinds, self.k, self.alpha, self.delta)
         if left["leapt"]:
             self.step, self.half, self.full = left["step"], None, exact(*self.linear, left["step"])
         else:
@@ -194,7 +236,7 @@ class Continuum:
 
     def renew(self, step: float) -> None:
         """Rebuild the matrices for a new step, or where a reference value has drifted."""
-        alpha, delta = (self.alpha, self.delta) if self.constant else self.references()
+        alpha, delta = references(self.road, self.state, self.nodes)
         drift, spread = abs(alpha - self.alpha), abs(delta - self.delta)
         drifted = (drift > DRIFT * self.alpha and drift * step > RESOLVED) or (
             spread > DRIFT * self.delta and spread * self.k[-1] ** 2 * step > RESOLVED
@@ -202,7 +244,7 @@ class Continuum:
         drifted = drifted and max(alpha, delta) < TOO_LARGE
         if drifted:
             self.alpha, self.delta = alpha, delta
-            self.linear = self.linear_part()
+            self.linear = linear_part(self.kinds, self.k, self.alpha, self.delta)
         if drifted or step != self.step or self.half is None:
             self.build(step)
 
