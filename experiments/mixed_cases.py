@@ -17,7 +17,6 @@ def mixed_cases(cars: int, headways: int, seed=0):
         "damping": tuple(draw.uniform(0.1, 0.3, cars)),
         "frequency": tuple(draw.uniform(0.8, 1.2, cars)),
         "mass": tuple(draw.uniform(0.5, 1.5, cars)),
-        "start": "rest",  # a settled start takes a transform of the road for every kind of car, here for every car
     }
     speeds = tuple(draw.uniform(0.8, 1.2, cars))
     for label, diffusivity, fleet in (

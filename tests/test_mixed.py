@@ -10,6 +10,7 @@ import traffic_road as tr
 from traffic_road.models import Sample, mixed_order
 from traffic_road.models.cars_mixed import mixed_samples
 from traffic_road.models.mixed_relaxation import LineRelaxation
+from traffic_road.schemes.oscillator import settled, settled_at
 from traffic_road.schemes.relaxation import relax_transform, symbol
 
 
@@ -124,3 +125,24 @@ def test_band_in_a_line_is_the_transform(nodes):
     LineRelaxation(tr.Constant(1.0), length)(relaxed, interval)
     np.testing.assert_allclose(relaxed, relax_transform(road, symbol(interval, length, nodes)), atol=1e-9)
     assert abs(relaxed.mean() - road.mean()) < 1e-15 and np.ptp(relaxed) < 0.5 * np.ptp(road)
+
+
+@pytest.mark.parametrize("nodes", [64, 65])
+@pytest.mark.parametrize("waves", [0, 5, 33])  # 33: all that the grid holds
+def test_cars_settled_one_by_one_are_settled_as_fields(nodes, waves, monkeypatch):
+    draw = np.random.default_rng(0)
+    road = np.fft.irfft(draw.standard_normal(waves) + 1j * draw.standard_normal(waves), n=nodes) * nodes
+    node = draw.integers(0, nodes, 50)
+    speed, frequency, damping = draw.uniform(0.2, 2.0, (3, 50))
+    monkeypatch.setattr("traffic_road.schemes.oscillator.MOST_TERMS", 100)  # several pieces
+    alone = settled_at(node, road, 20.0, speed, frequency, damping, 0.1)
+    fields = zip(node, zip(speed, frequency, damping, strict=True), strict=True)
+    wanted = np.transpose([[field[n] for field in settled(road, 20.0, *car, 0.1)] for n, car in fields])
+    np.testing.assert_allclose(alone, wanted, rtol=0, atol=1e-12 * max(1.0, np.abs(wanted).max()))
+    assert (np.ptp(alone[0]) > 0.1) == (waves > 0)
+
+
+def test_an_undamped_car_at_resonance_is_named():
+    road = np.sin(2 * np.pi * np.arange(64) / 64)
+    with pytest.raises(tr.SceneError, match="undamped car of speed 2 and frequency 1"):
+        settled_at(np.zeros(2, int), road, 4 * np.pi, *np.array([(1.0, 2.0), (1.0, 1.0), (0.0, 0.0)]), 0.1)

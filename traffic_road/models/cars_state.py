@@ -37,16 +37,20 @@ def node_behind(position, dx):
 def start(scene, road, node, kind_of, distinct, hold):
     """Z, P (cars,) and the contact heights behind each car (cars, hold), newest first, at the start."""
     length, nodes = scene.road.length, road.size
-    Z, P = np.empty(node.size), np.empty(node.size)
+    behind = road[(node[:, None] - np.arange(hold)) % nodes]
+    if scene.fleet.start == "rest":
+        return road[node], np.zeros(node.size), behind
     sink = float(scene.road.softness(np.mean(road))) * float(np.mean(scene.fleet.per_car("mass")))
-    for k, (speed, frequency, damping, _) in enumerate(distinct):
-        mine = kind_of == k
-        if scene.fleet.start == "rest":
-            Z[mine], P[mine] = road[node[mine]], 0.0
-        else:
+    if node.size * oscillator.wave_count(road) < len(distinct) * nodes:
+        speed, frequency, damping, _ = distinct[kind_of].T
+        Z, P = oscillator.settled_at(node, road, length, speed, frequency, damping, sink)
+    else:
+        Z, P = np.empty((2, node.size))
+        for k, (speed, frequency, damping, _) in enumerate(distinct):
+            mine = kind_of == k
             height, momentum = oscillator.settled(road, length, speed, frequency, damping, sink)
             Z[mine], P[mine] = height[node[mine]], momentum[node[mine]]
-    return Z, P, road[(node[:, None] - np.arange(hold)) % nodes]
+    return Z, P, behind
 
 
 def force(scene, contact, Z, frequency, mass):

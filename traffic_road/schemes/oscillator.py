@@ -17,6 +17,7 @@ from scipy.linalg import expm
 from ..errors import SceneError
 
 HOLDS = (1, 3, 5)
+MOST_TERMS = 1 << 20  # of a sum over cars and waves, held at once
 
 
 def propagator(interval, frequency, damping, hold: int) -> tuple[np.ndarray, np.ndarray]:
@@ -66,17 +67,54 @@ def settled(road_height, length: float, speed: float, frequency: float, damping:
     SceneError where an undamped car meets a wave at resonance.
     """
     nodes = len(road_height)
+    wave, number = _waves(road_height)
+    height, momentum = np.zeros((2, nodes // 2 + 1), dtype=complex)
+    height[number], momentum[number] = _response(wave, number, length, speed, frequency, damping)
+    return np.fft.irfft(height, n=nodes), np.fft.irfft(momentum, n=nodes) - sink_rate
+
+
+def settled_at(node, road_height, length: float, speed, frequency, damping, sink_rate: float):
+    """`settled` of cars that may all differ, each at its own node only: node, speed, frequency, damping (cars,).
+
+    A sum over the waves that the road has; where these are many and the cars alike, `settled` costs less.
+    """
+    nodes = len(road_height)
+    wave, number = _waves(road_height)
+    weight = np.where((number == 0) | (2 * number == nodes), 1.0, 2.0) / nodes  # of waves that have no mirror image, 1
+    turn = np.exp(2j * np.pi / nodes * np.arange(nodes))
+    height, momentum = np.empty((2, len(node)))
+    at_once = MOST_TERMS // max(1, number.size) + 1
+    for first in range(0, len(node), at_once):
+        some = slice(first, first + at_once)
+        Z, P = _response(wave * weight, number, length, speed[some, None], frequency[some, None], damping[some, None])
+        phase = turn[node[some, None] * number % nodes]
+        height[some], momentum[some] = (Z * phase).real.sum(axis=1), (P * phase).real.sum(axis=1)
+    return height, momentum - sink_rate
+
+
+def wave_count(road_height) -> int:
+    """How many waves, of those that the grid holds, the road has."""
+    return _waves(road_height)[1].size
+
+
+def _waves(road_height):
+    """The waves that are more than rounding, and their numbers, periods a length."""
     wave = np.fft.rfft(road_height)
-    kappa = 2 * np.pi * np.fft.rfftfreq(nodes, length / nodes) * speed / frequency
+    (number,) = np.nonzero(np.abs(wave) > 1e-14 * np.abs(wave).max())
+    return wave[number], number
+
+
+def _response(wave, number, length, speed, frequency, damping):
+    """Waves of Z, and of P less its mean, over the `wave` (waves,) of a road; the others are numbers or (cars, 1)."""
+    kappa = 2 * np.pi / length * number * speed / frequency
     denominator = 1 - kappa**2 + 2j * damping * kappa
-    present = np.abs(wave) > 1e-14 * np.abs(wave).max()
-    resonant = present & (np.abs(denominator) < 1e-9)
+    resonant = np.abs(denominator) < 1e-9
     if np.any(resonant):
+        car = np.argwhere(np.atleast_2d(resonant))[0, 0]
+        speed, frequency, damping = (float(np.ravel(values)[car]) for values in (speed, frequency, damping))
         raise SceneError(
             f"Fleet.damping = {damping:g}: an undamped car of speed {speed:g} and frequency {frequency:g} has no settled "
             f"response to the road's wavenumber {frequency / speed:g}; use damping > 0 or start='rest'"
         )
-    response = np.where(present, wave / np.where(resonant | ~present, 1.0, denominator), 0.0)
-    height = np.fft.irfft((1 + 2j * damping * kappa) * response, n=nodes)
-    momentum = np.fft.irfft(1j * frequency * kappa * response, n=nodes)
-    return height, momentum - sink_rate
+    response = wave / denominator
+    return (1 + 2j * damping * kappa) * response, 1j * frequency * kappa * response
