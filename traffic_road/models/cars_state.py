@@ -2,17 +2,23 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 
 from ..laws import Constant
 from ..schemes import oscillator
 
 
+@lru_cache(maxsize=4)  # asked for ten times a run
 def kinds(fleet) -> tuple[np.ndarray, np.ndarray]:
     """Distinct (speed, frequency, damping, mass), shape (kinds, 4), and the kind of each car, shape (count,)."""
     columns = np.stack([fleet.per_car(name) for name in ("speed", "frequency", "damping", "mass")], axis=1)
     distinct, kind_of = np.unique(columns, axis=0, return_inverse=True)
-    return distinct, kind_of.reshape(-1)
+    kind_of = kind_of.reshape(-1)
+    distinct.setflags(write=False)
+    kind_of.setflags(write=False)
+    return distinct, kind_of
 
 
 def even_start(scene, nodes: int) -> tuple[np.ndarray, int] | None:
