@@ -44,7 +44,10 @@ def propagator(interval, frequency, damping, hold: int) -> tuple[np.ndarray, np.
 
 
 def exponential(systems: np.ndarray) -> np.ndarray:
-    """exp of matrices (..., n, n), all at once: Taylor's polynomial, to rounding where the norm is 1/2, and squarings."""
+    """exp of matrices (..., n, n), all at once: Taylor's polynomial, to rounding where the norm is 1/2, and squarings.
+
+    Not scipy's, whose linear solver wakes the threads of its BLAS: they spin for a tenth of a second beside the run.
+    """
     norm = np.abs(systems).sum(axis=-1).max(axis=-1)
     squarings = np.ceil(np.log2(np.maximum(norm, 0.5))).astype(int) + 1
     exact = np.empty_like(systems)
