@@ -17,9 +17,10 @@ from .models import Sample, model
 from .models.cars_state import even_start, sink_rate
 from .models.continuum_state import left_by_rounding, linear_throughout
 from .scene import Fleet, Road
-from .theory.floquet import floquet_mode
+from .theory.floquet import floquet_modes
 
-STRONGEST = 8  # waves of the final road that stand for all of them
+STRONGEST = 8  # waves of the final road that stand for all of them, or fewer whose share of it is
+SHARE = 1 - 1e-6
 FINE_ROWS = 96  # nodes a headway up to which a matrix of twice as many is still cheap
 MOST_ROWS = 400  # beyond which the matrices cost more than a second run of all
 
@@ -86,11 +87,13 @@ def _of_waves(scene, numerics, last) -> float:
     )
     if not wave.any():
         return 0.0
-    strongest = np.argsort(wave)[-STRONGEST:]
+    strongest = np.argsort(wave)[::-1][:STRONGEST]
+    enough = np.searchsorted(np.cumsum(wave[strongest] ** 2), SHARE * np.sum(wave**2)) + 1
+    strongest = strongest[:enough]
+    k = 2 * np.pi * (strongest + 1) / scene.road.length
     error = 0.0
-    for n in strongest:
-        k = 2 * np.pi * (n + 1) / scene.road.length
-        (sigma, shape), (finer_sigma, finer_shape) = (floquet_mode(scene, k, **p) for p in (numerics, other))
+    modes = zip(strongest, *(floquet_modes(scene, k, **p) for p in (numerics, other)), strict=True)
+    for n, (sigma, shape), (finer_sigma, finer_shape) in modes:
         grown = abs(np.expm1((sigma - finer_sigma) * last.time))
         # the wave's own ripple, with steps at the wheels as well: first order in the grid
         rippled = 2 * np.linalg.norm(_of_length(shape, finer_shape.size) - finer_shape)

@@ -9,8 +9,8 @@ from ..laws import BOUNDED, CONSTANT, EXPONENTIAL
 from ..schemes import oscillator
 from . import Breath, Pace, Sample
 from .cars_state import force, kinds, level_of, sink_rate, start
-from .even_kernels import DEEPEST, FIELDS, passage, recursion, scaled, sweep_even
-from .even_layout import aligned, get, hand_over, layout, put, slots
+from .even_kernels import FIELDS, passage, recursion, scaled, sweep_even
+from .even_layout import aligned, get, layout, put, slots
 from .even_relaxation import Relaxation, margin
 
 FAINT = 1e-9  # softness of a passage below which a force is lost in the rounding of the road, and no count of it kept
@@ -131,18 +131,8 @@ class _Cars:
 
     def cross(self, road, done, headways):
         """All cars cross `headways` blocks, the first of them being headway `done`."""
-        state = self.state.reshape(self.layout.panels, self.layout.tiles, *self.state.shape[1:])
         slack = 0.0 if self.lift_off else np.inf
         slot, lane = self.where
         level = float(np.mean(self.state[slot, FIELDS, lane])) if self.exponential else 0.0
         law = passage(*self.passage, level)
-        deepest = min(DEEPEST, self.layout.tiles)
-        while headways:
-            chunk = min(headways, deepest)
-            self.sweep(road, self.flat, self.layout, chunk, done, True, self.coefficients, law, slack)
-            if chunk > 1:
-                hand_over(state, done + 1, done + chunk, self.layout)
-                self.sweep(road, self.flat, self.layout, chunk, done, False, self.coefficients, law, slack)
-            done += chunk
-            headways -= chunk
-            hand_over(state, done, done + 1, self.layout)
+        self.sweep(road, self.flat, self.layout, headways, done, self.coefficients, law, slack)

@@ -24,7 +24,7 @@ from numba import njit, prange, uint64
 
 from ..laws import CONSTANT, EXPONENTIAL
 from ..schemes.passage import contact_height
-from .even_layout import COMPILE, copy, row_of
+from .even_layout import COMPILE, copy, hand_over, row_of
 
 FIELDS = 3  # of a car, before its contact heights: signs, f, f_-1
 DEEPEST = 16  # headways that go through a tile at a time
@@ -148,8 +148,8 @@ def _make_sweep(width, hold, kind, unroll, parallel):
     size = np.uint64((FIELDS + hold) * width)
 
     @njit(parallel=parallel, **COMPILE)
-    def sweep(road, state, layout, headways, done, wedge, c, law, slack):
-        """`headways` <= tiles of all cars, from `done` on; see above for `wedge`. A single headway is all done at once.
+    def sweep(road, state, layout, count, first, c, law, slack):
+        """All cars cross `count` headways, the first of them being headway `first`. A single one is all done at once.
 
         road and state flat. c: constant, T, -D, e_0.. of the recursion; law: `passage`. slack: 0, infinite without lift-off.
         """
@@ -163,70 +163,83 @@ def _make_sweep(width, hold, kind, unroll, parallel):
         s, b, half, omega2, value, shape = law[0], law[1], law[2], law[3], law[4], law[5]
         level, scale, g2, c4, d4, c5 = law[6], law[7], law[8], law[9], law[10], law[11]
         least = -slack
-        for panel in prange(layout.panels):
-            saved = np.empty((rows + FIELDS + hold) * width if kind == EXPONENTIAL else 0)
-            begin, end = (1, tiles) if wedge else (0, headways)
-            if headways == 1:
-                begin, end = 0, tiles
-            for tile in range(begin, end):
-                low, high = (0, min(tile, headways)) if wedge else (tile, headways)
-                if headways == 1:
-                    low, high = 0, 1
-                lanes = layout.lanes - panel * width if tile > 0 else layout.long - panel * width
-                lanes = min(lanes, width)
-                if lanes <= 0:
-                    continue
-                for headway in range(low, high):
-                    car = uint64(panel * tiles + (tile - headway - done) % tiles) * size
-                    poor = 0
-                    if kind == EXPONENTIAL:
-                        start = row_of(panel, tile * rows, layout)
-                        copy(saved, 0, road, start, rows * width)
-                        copy(saved, rows * width, state, car, size)
-                    for r in range(0, rows, unroll):
-                        at = uint64(row_of(panel, tile * rows + r, layout))
-                        for i in range(uint64(lanes)):
-                            k = car + i
-                            a, f, f1, h0 = state[k], state[k + W1], state[k + W2], state[k + W3]
-                            if hold > 1:
-                                h1, h2 = state[k + W4], state[k + W5]
-                            if hold > 3:
-                                h3, h4 = state[k + W6], state[k + W7]
-                            for u in range(unroll):
-                                x = at + uint64(u) * W1 + i
-                                if kind == CONSTANT:
-                                    h, road[x], sign = _met(road[x], f, s, slack)
-                                elif kind == EXPONENTIAL:
-                                    h, road[x], sign, unsure = _met_exponential(
-                                        road[x], f, b, omega2, scale, level, shape, least, g2, c4, d4, c5
-                                    )
-                                    poor += unsure
-                                else:
-                                    h, road[x], sign = _met_bounded(road[x], f, b, omega2, half, value, shape, least)
-                                a += sign
-                                # the newest height last: the others are known while it is awaited
-                                if hold == 1:
-                                    g = e0 * h + (T * f + (D * f1 + (e1 * h0 + c0)))
-                                elif hold == 3:
-                                    g = e0 * h + (T * f + (D * f1 + (e1 * h0 + (e2 * h1 + (e3 * h2 + c0)))))
-                                else:
-                                    older = e3 * h2 + (e4 * h3 + (e5 * h4 + c0))
-                                    g = e0 * h + (T * f + (D * f1 + (e1 * h0 + (e2 * h1 + older))))
-                                f, f1 = g, f
-                                if hold > 3:
-                                    h3, h4 = h2, h3
-                                if hold > 1:
-                                    h1, h2 = h0, h1
-                                h0 = h
-                            state[k], state[k + W1], state[k + W2], state[k + W3] = a, f, f1, h0
-                            if hold > 1:
-                                state[k + W4], state[k + W5] = h1, h2
-                            if hold > 3:
-                                state[k + W6], state[k + W7] = h3, h4
-                    if kind == EXPONENTIAL and poor:
-                        copy(road, start, saved, 0, rows * width)
-                        copy(state, car, saved, rows * width, size)
-                        _carefully(road, start, rows, width, lanes, state, int(car), hold, c, law, least)
+        cars = state.reshape(layout.panels, tiles, FIELDS + hold, width)
+        deepest = min(DEEPEST, tiles)
+        end_of_all = first + count
+        for part in range(2 * ((count + deepest - 1) // deepest)):
+            wedge, done = part % 2 == 0, first + part // 2 * deepest
+            headways = min(deepest, end_of_all - done)
+            if headways > 1 or wedge:
+                for panel in prange(layout.panels):
+                    saved = np.empty((rows + FIELDS + hold) * width if kind == EXPONENTIAL else 0)
+                    begin, end = (1, tiles) if wedge else (0, headways)
+                    if headways == 1:
+                        begin, end = 0, tiles
+                    for tile in range(begin, end):
+                        low, high = (0, min(tile, headways)) if wedge else (tile, headways)
+                        if headways == 1:
+                            low, high = 0, 1
+                        lanes = layout.lanes - panel * width if tile > 0 else layout.long - panel * width
+                        lanes = min(lanes, width)
+                        if lanes <= 0:
+                            continue
+                        for headway in range(low, high):
+                            car = uint64(panel * tiles + (tile - headway - done) % tiles) * size
+                            poor = 0
+                            if kind == EXPONENTIAL:
+                                start = row_of(panel, tile * rows, layout)
+                                copy(saved, 0, road, start, rows * width)
+                                copy(saved, rows * width, state, car, size)
+                            for r in range(0, rows, unroll):
+                                at = uint64(row_of(panel, tile * rows + r, layout))
+                                for i in range(uint64(lanes)):
+                                    k = car + i
+                                    a, f, f1, h0 = state[k], state[k + W1], state[k + W2], state[k + W3]
+                                    if hold > 1:
+                                        h1, h2 = state[k + W4], state[k + W5]
+                                    if hold > 3:
+                                        h3, h4 = state[k + W6], state[k + W7]
+                                    for u in range(unroll):
+                                        x = at + uint64(u) * W1 + i
+                                        if kind == CONSTANT:
+                                            h, road[x], sign = _met(road[x], f, s, slack)
+                                        elif kind == EXPONENTIAL:
+                                            h, road[x], sign, unsure = _met_exponential(
+                                                road[x], f, b, omega2, scale, level, shape, least, g2, c4, d4, c5
+                                            )
+                                            poor += unsure
+                                        else:
+                                            h, road[x], sign = _met_bounded(
+                                                road[x], f, b, omega2, half, value, shape, least
+                                            )
+                                        a += sign
+                                        # the newest height last: the others are known while it is awaited
+                                        if hold == 1:
+                                            g = e0 * h + (T * f + (D * f1 + (e1 * h0 + c0)))
+                                        elif hold == 3:
+                                            g = e0 * h + (T * f + (D * f1 + (e1 * h0 + (e2 * h1 + (e3 * h2 + c0)))))
+                                        else:
+                                            older = e3 * h2 + (e4 * h3 + (e5 * h4 + c0))
+                                            g = e0 * h + (T * f + (D * f1 + (e1 * h0 + (e2 * h1 + older))))
+                                        f, f1 = g, f
+                                        if hold > 3:
+                                            h3, h4 = h2, h3
+                                        if hold > 1:
+                                            h1, h2 = h0, h1
+                                        h0 = h
+                                    state[k], state[k + W1], state[k + W2], state[k + W3] = a, f, f1, h0
+                                    if hold > 1:
+                                        state[k + W4], state[k + W5] = h1, h2
+                                    if hold > 3:
+                                        state[k + W6], state[k + W7] = h3, h4
+                            if kind == EXPONENTIAL and poor:
+                                copy(road, start, saved, 0, rows * width)
+                                copy(state, car, saved, rows * width, size)
+                                _carefully(road, start, rows, width, lanes, state, int(car), hold, c, law, least)
+            if wedge:
+                hand_over(cars, done + 1, done + headways, layout)
+            else:
+                hand_over(cars, done + headways, done + headways + 1, layout)
 
     return sweep
 

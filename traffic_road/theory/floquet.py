@@ -9,6 +9,7 @@ grid, hold and interval.
 from __future__ import annotations
 
 import numpy as np
+from numba import njit
 
 from ..errors import SceneError
 from ..laws import Constant, finite
@@ -16,6 +17,8 @@ from ..schemes.oscillator import propagator
 from .dispersion import fleet_dispersion
 
 MOST_ROWS = 800  # of the matrix: some seconds for its eigenvalues
+MOST_ITERATIONS = 60  # of the nearest eigenvalue
+SETTLED = 1e-14  # change of it at which they end
 
 
 def sweep_map(*, headway, rows, hold, softness, car) -> np.ndarray:
@@ -28,16 +31,31 @@ def sweep_map(*, headway, rows, hold, softness, car) -> np.ndarray:
     push = 0.5 * softness * mass * headway / speed
     size = rows + 2 + hold
     state = np.eye(size + 1)  # columns: basis vectors, the last a load of 1
-    road, Z, P, load = state[:rows].copy(), state[rows], state[rows + 1], state[-1]
-    past = list(state[rows + 2 : -1])
-    for r in range(rows):
-        z_star = A[0, 0] * Z + A[0, 1] * P + sum(B[0, q + 1] * past[q] for q in range(hold))
-        p_star = A[1, 0] * Z + A[1, 1] * P + sum(B[1, q + 1] * past[q] for q in range(hold))
-        contact = (road[r] - push * (load - frequency**2 * z_star)) / (1 + push * frequency**2 * (1 - B[0, 0]))
-        road[r] = 2 * contact - road[r]
-        Z, P = z_star + B[0, 0] * contact, p_star + B[1, 0] * contact
-        past = [contact, *past[:-1]]
-    return np.vstack([road, Z, P, *past])
+    own = np.array([push, frequency**2, 1 / (1 + push * frequency**2 * (1 - B[0, 0]))])
+    _cross(state, rows, A, B, own)
+    return state[:-1]
+
+
+@njit(cache=True)
+def _cross(state, rows, A, B, own):
+    """The car goes through the block: state (rows + 3 + hold, columns) in place, rows as those of `sweep_map`."""
+    hold = B.shape[1] - 1
+    push, omega2, scale = own
+    for column in range(state.shape[1]):
+        road, car = state[:rows, column], state[rows:, column]
+        load = state[-1, column]
+        for r in range(rows):
+            z_star = A[0, 0] * car[0] + A[0, 1] * car[1]
+            p_star = A[1, 0] * car[0] + A[1, 1] * car[1]
+            for q in range(hold):
+                z_star += B[0, q + 1] * car[2 + q]
+                p_star += B[1, q + 1] * car[2 + q]
+            contact = (road[r] - push * (load - omega2 * z_star)) * scale
+            road[r] = 2 * contact - road[r]
+            car[0], car[1] = z_star + B[0, 0] * contact, p_star + B[1, 0] * contact
+            for q in range(hold - 1, 0, -1):
+                car[2 + q] = car[1 + q]
+            car[2] = contact
 
 
 def sweep_matrix(k, *, headway, rows, hold, softness, car) -> np.ndarray:
@@ -50,13 +68,16 @@ def sweep_matrix(k, *, headway, rows, hold, softness, car) -> np.ndarray:
 
 def relaxation_matrix(k, *, headway, rows, diffusion) -> np.ndarray:
     """exp(diffusion d2/dx2) on the nodes of a block of a Bloch wave, (rows, rows); diffusion = Delta * time."""
-    # its components on the grid: k + 2 pi q / l, taken in the grid's first Brillouin zone
     node = np.arange(1, rows + 1) * (headway / rows)
+    basis = np.exp(1j * np.outer(node, k + 2 * np.pi * np.arange(rows) / headway))
+    return (basis * np.exp(-diffusion * _folded(k, headway, rows) ** 2)) @ (basis.conj().T / rows)
+
+
+def _folded(k, headway, rows):
+    """Components of a Bloch wave on the grid: k + 2 pi q / l, (rows,), taken in the grid's first Brillouin zone."""
     wavenumber = k + 2 * np.pi * np.arange(rows) / headway
-    basis = np.exp(1j * np.outer(node, wavenumber))
     zone = 2 * np.pi * rows / headway
-    folded = wavenumber - zone * np.rint(wavenumber / zone)
-    return (basis * np.exp(-diffusion * folded**2)) @ (basis.conj().T / rows)
+    return wavenumber - zone * np.rint(wavenumber / zone)
 
 
 def floquet(scene, k, **numerics) -> complex:
@@ -70,10 +91,16 @@ def floquet(scene, k, **numerics) -> complex:
 
 def floquet_mode(scene, k, **numerics) -> tuple[complex, np.ndarray]:
     """sigma as `floquet`, and the road at a sample: its components at k, k + 2 pi/l, ..., the first 1; shape (rows,)."""
+    return floquet_modes(scene, [k], **numerics)[0]
+
+
+def floquet_modes(scene, wavenumbers, **numerics) -> list[tuple[complex, np.ndarray]]:
+    """`floquet_mode` at each of `wavenumbers`."""
     fleet, count = scene.fleet, scene.fleet.count
     from ..models.cars import numerics as checked  # not at the top: theory is read before the models
 
-    nodes, hold, relax_every = (checked(scene, numerics)[name] for name in ("nodes", "hold", "relax_every"))
+    chosen = checked(scene, numerics)
+    nodes, hold, relax_every = (chosen[name] for name in ("nodes", "hold", "relax_every"))
     laws = scene.road.softness, scene.road.diffusivity
     car = [fleet.per_car(name) for name in ("speed", "frequency", "damping", "mass")]
     spacing = np.sort(fleet.positions(scene.road.length)) - np.arange(count) * scene.headway
@@ -86,24 +113,58 @@ def floquet_mode(scene, k, **numerics) -> tuple[complex, np.ndarray]:
         raise SceneError("floquet: needs Constant softness and diffusivity; freeze the laws at one height")
     softness, diffusivity = (law.value for law in laws)
     car = [float(values[0]) for values in car]
-    rows, k = nodes // count, finite("k", k)
+    rows, wavenumbers = nodes // count, [finite("k", k) for k in wavenumbers]
     if rows > MOST_ROWS:
         raise SceneError(f"floquet: {rows} nodes a headway, must be at most {MOST_ROWS}; use fewer nodes")
     span = relax_every * scene.headway / car[0]
     block = {"headway": scene.headway, "rows": rows}
-    sweep = np.linalg.matrix_power(sweep_matrix(k, **block, hold=hold, softness=softness, car=car), relax_every)
-    half = relaxation_matrix(k, **block, diffusion=diffusivity * span / 2)
-    # from sample to sample: half a relaxation, sweeps, half a relaxation
-    matrix = sweep.copy()
-    matrix[:, :rows] = matrix[:, :rows] @ half
-    matrix[:rows] = half @ matrix[:rows]
-    guess = complex(fleet_dispersion(k, fleet, softness=softness, diffusivity=diffusivity))
-    multipliers, vectors = np.linalg.eig(matrix)
-    nearest = np.argmin(np.abs(multipliers - np.exp(guess * span)))
-    sigma = np.log(multipliers[nearest]) / span
+    sweep = sweep_map(**block, hold=hold, softness=softness, car=car)[:, :-1]
+    guesses = fleet_dispersion(np.array(wavenumbers), fleet, softness=softness, diffusivity=diffusivity)
+    return [
+        _mode(k, complex(guess), sweep, diffusivity * span, scene.headway, rows, relax_every, span)
+        for k, guess in zip(wavenumbers, guesses, strict=True)
+    ]
+
+
+def _mode(k, guess, sweep, diffusion, headway, rows, relax_every, span):
+    """sigma and components at k from the map `sweep` of one headway."""
+    matrix = sweep.astype(complex)
+    matrix[rows:] *= np.exp(-1j * k * headway)  # as in `sweep_matrix`
+    matrix = np.linalg.matrix_power(matrix, relax_every)
+    # half a relaxation, sweeps, half a relaxation from sample to sample: similar to sweeps and a whole relaxation
+    phase = np.exp(1j * k * headway * np.arange(1, rows + 1) / rows)
+    factor = np.exp(-diffusion * _folded(k, headway, rows) ** 2)
+    matrix[:, :rows] = np.fft.fft(np.fft.ifft(matrix[:, :rows] * phase, axis=1) * factor, axis=1) * phase.conj()
+    multiplier, vector = nearest_eigenpair(matrix, np.exp(guess * span))
+    sigma = np.log(multiplier) / span
     turns = np.rint((guess.imag - sigma.imag) * span / (2 * np.pi))  # the branch of the logarithm
     # components of the Bloch wave by a transform over the block, its phase at k taken out
-    place = np.arange(1, rows + 1) / rows
-    components = np.fft.fft(vectors[:rows, nearest] * np.exp(-1j * k * scene.headway * place))
+    components = np.fft.fft(vector[:rows] * phase.conj()) * np.sqrt(factor)
     components *= np.exp(-2j * np.pi * np.arange(rows) / rows)
     return complex(sigma + 2j * np.pi * turns / span), components / components[0]
+
+
+def nearest_eigenpair(matrix, guess) -> tuple[complex, np.ndarray]:
+    """The eigenvalue of `matrix` (n, n) nearest to `guess`, and its vector: inverse iteration.
+
+    Where that does not settle, because others are nearly as near, by all eigenvalues.
+    """
+    size = len(matrix)
+    try:
+        inverse = np.linalg.inv(matrix - guess * np.eye(size))
+    except np.linalg.LinAlgError:
+        inverse = np.full((size, size), np.nan)
+    vector = np.exp(2j * np.pi * np.sqrt(2) * np.arange(size) ** 2)  # no symmetry that a mode could lack
+    vector /= np.linalg.norm(vector)
+    value = np.inf
+    for _ in range(MOST_ITERATIONS):
+        image = inverse @ vector
+        last, value = value, guess + 1 / np.vdot(vector, image)
+        vector = image / np.linalg.norm(image)
+        if not abs(value - last) > SETTLED * abs(value):
+            break
+    if np.linalg.norm(matrix @ vector - value * vector) <= 100 * SETTLED:
+        return value, vector
+    values, vectors = np.linalg.eig(matrix)
+    nearest = np.argmin(np.abs(values - guess))
+    return values[nearest], vectors[:, nearest]
