@@ -149,22 +149,53 @@ def nearest_eigenpair(matrix, guess) -> tuple[complex, np.ndarray]:
 
     Where that does not settle, because others are nearly as near, by all eigenvalues.
     """
-    size = len(matrix)
-    try:
-        inverse = np.linalg.inv(matrix - guess * np.eye(size))
-    except np.linalg.LinAlgError:
-        inverse = np.full((size, size), np.nan)
-    vector = np.exp(2j * np.pi * np.sqrt(2) * np.arange(size) ** 2)  # no symmetry that a mode could lack
-    vector /= np.linalg.norm(vector)
-    value = np.inf
-    for _ in range(MOST_ITERATIONS):
-        image = inverse @ vector
-        last, value = value, guess + 1 / np.vdot(vector, image)
-        vector = image / np.linalg.norm(image)
-        if not abs(value - last) > SETTLED * abs(value):
-            break
-    if np.linalg.norm(matrix @ vector - value * vector) <= 100 * SETTLED:
+    value, vector, residual = _inverse_iteration(matrix, complex(guess))
+    if residual <= 100 * SETTLED:
         return value, vector
     values, vectors = np.linalg.eig(matrix)
     nearest = np.argmin(np.abs(values - guess))
     return values[nearest], vectors[:, nearest]
+
+
+@njit(cache=True, error_model="numpy", fastmath={"contract"})
+def _inverse_iteration(matrix, guess):
+    """Eigenvalue, vector of norm 1 and residual. Compiled: threads of BLAS take longer to wake than matrices so small."""
+    size = matrix.shape[0]
+    a = matrix.copy()
+    for i in range(size):
+        a[i, i] -= guess
+    order = np.arange(size)
+    for n in range(size):  # LU with row pivots
+        pivot = n + np.argmax(np.abs(a[n:, n]))
+        if pivot != n:
+            for j in range(size):
+                a[n, j], a[pivot, j] = a[pivot, j], a[n, j]
+            order[n], order[pivot] = order[pivot], order[n]
+        per = 1.0 / a[n, n]
+        for i in range(n + 1, size):
+            factor = a[i, n] * per
+            a[i, n] = factor
+            if factor != 0:
+                for j in range(n + 1, size):
+                    a[i, j] -= factor * a[n, j]
+    vector = np.exp(2j * np.pi * np.sqrt(2) * np.arange(size) ** 2) / np.sqrt(
+        size
+    )  # no symmetry that a mode could lack
+    value = np.inf + 0j
+    for _ in range(MOST_ITERATIONS):
+        image = vector[order]
+        for i in range(1, size):
+            for j in range(i):
+                image[i] -= a[i, j] * image[j]
+        for i in range(size - 1, -1, -1):
+            for j in range(i + 1, size):
+                image[i] -= a[i, j] * image[j]
+            image[i] /= a[i, i]
+        last, value = value, guess + 1 / np.sum(np.conj(vector) * image)
+        vector = image / np.sqrt(np.sum(np.abs(image) ** 2))
+        if not abs(value - last) > SETTLED * abs(value):
+            break
+    residual = 0.0
+    for i in range(size):
+        residual += np.abs(np.sum(matrix[i] * vector) - value * vector[i]) ** 2
+    return value, vector, np.sqrt(residual)
