@@ -46,6 +46,7 @@ CASES = [  # label, bar, threads, cars, nodes a headway, hold, diffusivity, rela
     ("exponential law, hold 3", 0.3, 1, CARS, 32, 3, 0.0, 1, HARD),
     ("bounded law, hold 3", np.nan, 1, CARS, 32, 3, 0.0, 1, tr.Bounded(SOFTNESS, 30.0)),
 ]
+LONGEST = 20_000  # headways of a run: without diffusion nothing holds what grows
 MIXED_BARS = 0.3, np.nan, 0.1, 0.1
 FLEETS = (1, 2, 4, 8, 16, 32, 64)  # of which the fixed cost of a run is told; 256 nodes
 SIZES = (64, 256, 1024, 4096, 16384)  # cars, and
@@ -110,7 +111,7 @@ def measured(updates, repeats, threads, count, rows, hold, diffusivity, relax_ev
     rate(count, 2 * relax_every, rows, hold, *law)
     if isinstance(softness, tr.Exponential):
         updates = min(updates, 3e7)  # before cars take off: passages of many times the load are solved one by one
-    headways = max(relax_every, int(updates / (rows * count)) // relax_every * relax_every)
+    headways = max(relax_every, min(LONGEST, int(updates / (rows * count))) // relax_every * relax_every)
     pairs = [(rate(count, headways, rows, hold, *law), bare_rate(CARS, 1)) for _ in range(repeats)]
     numba.set_num_threads(numba.config.NUMBA_NUM_THREADS)
     return tuple(np.max(pairs, axis=0))
