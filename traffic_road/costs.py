@@ -13,11 +13,12 @@ from .models import linear
 from .models.continuum_state import FEW_NODES, FEW_NODES_VARYING, Kinds, constant
 
 FIXED = {"linear": 0.7e-3, "continuum": 0.35e-3, "cars": 0.6e-3}  # of any run: scene to samples
-CALL = 4e-6  # of a compiled sweep or relaxation of one headway
+CALL = 4e-6  # of a compiled sweep of one headway
+CALL_RELAX = 20e-6  # of a relaxation
 UPDATE = {1: 0.8e-9, 3: 1.2e-9, 5: 1.6e-9}  # a node crossed, by the hold
-LAW = 80e-9  # the same where the softness varies
-ANY_ORDER = 220e-9  # the same from a heap, car by car
-RELAX = 40e-9  # a node relaxed, constant diffusivity
+LAW = 20e-9  # the same where the softness varies: 3e-9 where cars stay on the road, 40e-9 where they bounce
+ANY_ORDER = 15e-9  # the same for any fleet but an even one
+RELAX = 8e-9  # a node relaxed, constant diffusivity
 RELAX_LAW = 500e-9  # a node and a polynomial's degree
 
 
@@ -32,9 +33,9 @@ def of_cars(scene, numerics: dict, even: bool) -> float:
     if not isinstance(road.diffusivity, Constant):
         interval = scene.headway_time * numerics["relax_every"]
         reach = 0.5 * interval * float(road.diffusivity(0.0)) * (np.pi * nodes / road.length) ** 2
-        relax = CALL + nodes * RELAX_LAW * (1 + np.sqrt(2 * reach))
+        relax = CALL_RELAX + nodes * RELAX_LAW * (1 + np.sqrt(2 * reach))
     elif road.diffusivity.value > 0:
-        relax = CALL + nodes * RELAX
+        relax = CALL_RELAX + nodes * RELAX
     return FIXED["cars"] + headways * (sweep + relax / numerics["relax_every"])
 
 

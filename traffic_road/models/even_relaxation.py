@@ -243,6 +243,7 @@ class Relaxation:
 
     def __init__(self, scene, nodes, layout, threads=1):
         self.scene, self.nodes, self.layout = scene, nodes, layout
+        self.headway_time = scene.headway_time  # a sum over the cars
         self.parallel = threads > 1
         numbers = (layout.tiles * layout.rows // 2 + 2 * layout.margin) * layout.width
         self.scratch = aligned(threads * numbers).reshape(threads, numbers)
@@ -252,7 +253,7 @@ class Relaxation:
     def relax(self, road, headways: float) -> None:
         if not self.acts or headways == 0:
             return
-        law, length, interval = self.scene.road.diffusivity, self.scene.road.length, headways * self.scene.headway_time
+        law, length, interval = self.scene.road.diffusivity, self.scene.road.length, headways * self.headway_time
         if isinstance(law, Constant):
             if headways not in self.ways:
                 weights = _weights(self.scene, self.nodes, self.layout, headways)
