@@ -235,10 +235,10 @@ def draw(ds) -> Figure:
     right.plot(ds.duration, ds.cost_by_duration * 1e9, "s--", color=ORANGE, label="by headways, 32768 nodes")
     right.set(
         xscale="log", ylim=(0, None), xlabel="nodes or headways", ylabel="time of an update (ns)",
-        title="Cost is flat in size and duration (hold 1)",
+        title="Cost of an update (hold 1)",
     )  # fmt: skip
     right.grid(lw=0.4)
-    right.legend(frameon=False)
+    right.legend(frameon=False, loc="lower left")
     return figure
 
 
