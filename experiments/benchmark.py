@@ -6,7 +6,7 @@ several, each next to a bare loop of its own; 8 cars a wavelength, k = 0.9, alph
 fleets that are not even from `mixed_cases`. What relaxing less often adds to sigma(k = 0.9) is told by the Floquet matrix.
 Bars are what the kernels are held to.
 
-Run: python experiments/benchmark.py [--quick]        (about 90 s; 30 s)
+Run: python experiments/benchmark.py [--quick]        (about 50 s; 12 s)
 """
 
 import time
