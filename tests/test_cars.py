@@ -11,8 +11,9 @@ from reference import plain_cars
 
 import traffic_road as tr
 from traffic_road.errors import SceneError, StabilityError
-from traffic_road.models import Sample, cars, even_kernels
+from traffic_road.models import Sample, cars, even_kernels, even_relaxation
 from traffic_road.models.cars_mixed import mixed_samples
+from traffic_road.models.even_layout import layout
 from traffic_road.schemes import relaxation
 from traffic_road.schemes.oscillator import propagator
 from traffic_road.schemes.passage import contact_height
@@ -501,3 +502,16 @@ def test_compiled_sweep_is_found_again_by_another_process():
     )
     hits = [subprocess.run([sys.executable, "-c", program], capture_output=True, text=True).stdout for _ in range(2)]
     assert hits[1].strip() == "1"
+
+
+def test_a_last_interval_with_a_band_where_the_others_have_none(monkeypatch):
+    # 4 and 8 headways smooth too far for a band, the last 2 do not: no margin was made for it
+    road = tr.Road(2 * np.pi / K * 9, 0.006, 0.01, tr.Sine(1e-2, K))
+    case = tr.Scene(road, tr.Fleet(72, 0.1), 100.0)
+    ring = layout(72, 192)
+    assert even_relaxation._weights(case, 72 * 192, ring, 2) and not even_relaxation._weights(case, 72 * 192, ring, 4)
+    asked = case, case.headway_time * np.array([0.0, 20.0]), {"nodes": 72 * 192, "hold": 3, "relax_every": 8}
+    *_, a = cars.samples(*asked)
+    monkeypatch.setattr(even_relaxation, "_weights", lambda *interval: None)
+    *_, b = cars.samples(*asked)
+    np.testing.assert_allclose(a.road_height, b.road_height, atol=1e-9 * np.ptp(b.road_height), rtol=0)

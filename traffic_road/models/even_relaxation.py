@@ -257,6 +257,8 @@ class Relaxation:
         if isinstance(law, Constant):
             if headways not in self.ways:
                 weights = _weights(self.scene, self.nodes, self.layout, headways)
+                if weights and _wanted(weights) > self.layout.margin:
+                    weights = None  # a last interval, shorter than those that the margin was made for
                 self.ways[headways] = weights or symbol(law.value * interval, length, self.nodes)
             way = self.ways[headways]
             if isinstance(way, tuple):
@@ -282,7 +284,12 @@ def margin(scene, nodes, layout, headways) -> int:
         for n in headways
         if acts(scene) and isinstance(scene.road.diffusivity, Constant)
     ]
-    return max((_depth(way) + 6 * BLOCK for way in ways if way is not None), default=0)
+    return max((_wanted(way) for way in ways if way is not None), default=0)
+
+
+def _wanted(way) -> int:
+    """Rows of margin, what is computed beyond the last row included."""
+    return _depth(way) + 6 * BLOCK
 
 
 def _depth(way) -> int:
