@@ -43,7 +43,7 @@ def relative(road, other) -> float:
 def order(differences: list[float], least: float, most: float) -> float:
     """The order that differences of runs, each at twice the resolution of the last, tell; within limits."""
     coarse, fine = differences[0], differences[-1]
-    if not (fine > HARDLY and np.isfinite(coarse)):
+    if not (HARDLY < fine < np.inf and 0 < coarse < np.inf):
         return least
     return float(np.clip(np.log2(coarse / fine) / (len(differences) - 1), least, most))
 

@@ -136,11 +136,19 @@ def _mode(k, guess, sweep, diffusion, headway, rows, relax_every, span):
     factor = np.exp(-diffusion * _folded(k, headway, rows) ** 2)
     matrix[:, :rows] = np.fft.fft(np.fft.ifft(matrix[:, :rows] * phase, axis=1) * factor, axis=1) * phase.conj()
     multiplier, vector = nearest_eigenpair(matrix, np.exp(guess * span))
+    if multiplier == 0 or not np.any(vector[:rows]):
+        raise SceneError(
+            f"floquet: the wave k = {k:g} decays below rounding in {span:.3g}; use a longer wave, or relax more often"
+        )
     sigma = np.log(multiplier) / span
     turns = np.rint((guess.imag - sigma.imag) * span / (2 * np.pi))  # the branch of the logarithm
     # components of the Bloch wave by a transform over the block, its phase at k taken out
     components = np.fft.fft(vector[:rows] * phase.conj()) * np.sqrt(factor)
     components *= np.exp(-2j * np.pi * np.arange(rows) / rows)
+    if components[0] == 0:
+        raise SceneError(
+            f"floquet: k = {k:g} is not in its own wave, to rounding; use a longer wave, or relax more often"
+        )
     return complex(sigma + 2j * np.pi * turns / span), components / components[0]
 
 
