@@ -99,3 +99,10 @@ def test_what_is_no_result_is_refused_in_one_line():
 def test_a_flat_road_has_no_rate():
     flat = replace(tr.preset("paper"), road=tr.Road(2 * np.pi / 0.9, 0.006, 0.01))
     assert np.isnan(tr.growth_rate(tr.simulate(flat, "continuum", samples=3), 0.9)).all()
+
+
+def test_cars_off_the_ring_are_refused():
+    ds = tr.simulate(tr.preset("paper"), "cars", samples=2, nodes=256)
+    ds.car_position[1, 3] = 1e9
+    with pytest.raises(tr.SceneError, match="car_position: must lie from 0"):
+        tr.coarse_grain(ds)

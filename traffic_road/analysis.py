@@ -124,6 +124,11 @@ def coarse_grain(ds: xr.Dataset) -> xr.Dataset:
     on = ("time", "car")
     _refuse_without(ds, road_height=("time", "x"), car_height=on, contact_force=on, car_position=on)
     length = _ring(ds)
+    where = ds.car_position.values
+    if not np.all((where >= 0) & (where < length)):
+        raise SceneError(
+            f"car_position: must lie from 0 to below the ring's length {length:g}; the result is damaged, run it again"
+        )
     fields = {}
     for name in ("car_height", "contact_force"):
         values = np.empty((ds.time.size, ds.x.size))
