@@ -130,9 +130,9 @@ def stored(path: Path) -> dict[int, str]:
 
 def main() -> None:
     chosen = options(__doc__)
-    seconds = rates(3, 400.0, 1) if chosen.quick else rates(8, 5000.0, 2)
+    seconds = rates(2, 100.0, 1) if chosen.quick else rates(8, 5000.0, 2)
     map_, linear_seconds = linear(20, 50) if chosen.quick else linear(250, 400)
-    lives = kills(2, 30) if chosen.quick else kills(25, 120)
+    lives = kills(1, 16) if chosen.quick else kills(25, 120)
     after = [count for life in lives for count in life]
     ds = xr.Dataset(
         {
