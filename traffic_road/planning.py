@@ -160,8 +160,7 @@ def _cars(scene) -> list[dict]:
         {"nodes": rows * scene.fleet.count, "hold": HOLD, "relax_every": n}
         for rows in ROWS
         for n in INTERVALS
-        # cars that are not even meet a relaxation where it finds them: what a longer interval costs is not told by coarse runs
-        if headways % n == 0 and (n == 1 or linear.is_even(scene))
+        if headways % n == 0
     ]
 
 
