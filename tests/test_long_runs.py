@@ -24,6 +24,12 @@ TAKEN = ("wall_time", "error_wall_time", "history")
 START = "import sys; from traffic_road.cli import main; sys.exit(main())"
 
 
+def started(*words, start=START, **options):
+    """A process of its own that runs the command line `words`."""
+    command = [sys.executable, "-c", start, *words]
+    return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, **options)
+
+
 @pytest.fixture(autouse=True)
 def folder(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
@@ -78,23 +84,9 @@ def test_the_file_can_be_read_at_any_moment():
     quick = START.replace(
         "sys.exit", "from traffic_road import keeper; keeper.FIRST = 0.02; keeper.SHARE = 0.5; sys.exit"
     )
-    command = [
-        sys.executable,
-        "-c",
-        quick,
-        "run",
-        "scene.toml",
-        "--model",
-        "cars",
-        "-o",
-        "out.nc",
-        "--samples",
-        "20001",
-        "--nodes",
-        "64",
-    ]
+    command = ["run", "scene.toml", "--model", "cars", "-o", "out.nc", "--samples", "20001", "--nodes", "64"]
     seen = []
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as run:
+    with started(*command, start=quick) as run:
         while run.poll() is None:
             if os.path.exists("out.nc"):
                 ds = tr.open("out.nc")  # whole, or this raises
@@ -199,23 +191,9 @@ def test_a_run_that_diverges_is_resumed_to_the_same_end(monkeypatch):
 def test_control_c_ends_the_command_within_two_seconds_and_says_how_to_go_on():
     case = scene(duration=40000.0, **SOFT)
     case.to_toml("scene.toml")
-    command = [
-        sys.executable,
-        "-c",
-        START,
-        "run",
-        "scene.toml",
-        "--model",
-        "cars",
-        "-o",
-        "out.nc",
-        "--samples",
-        "40",
-        "--checkpoint",
-        "c 1",
-    ]
-    for number, more in ((signal.SIGINT, command[3:]), (signal.SIGTERM, ["run", "--resume", "c 1"])):
-        with subprocess.Popen([*command[:3], *more], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as run:
+    command = ["run", "scene.toml", "--model", "cars", "-o", "out.nc", "--samples", "40", "--checkpoint", "c 1"]
+    for number, words in ((signal.SIGINT, command), (signal.SIGTERM, ["run", "--resume", "c 1"])):
+        with started(*words) as run:
             while not os.path.exists("out.nc"):  # published a second after the start
                 assert run.poll() is None, run.stderr.read()
                 time.sleep(0.02)
@@ -380,29 +358,15 @@ def test_a_full_disk(more):
     scene(duration=300.0).to_toml("scene.toml")
     with open("out.nc", "wb") as old:
         old.write(b"old")
-    command = [
-        sys.executable,
-        "-c",
-        START,
-        "run",
-        "scene.toml",
-        "-o",
-        "out.nc",
-        "--model",
-        "cars",
-        "--samples",
-        "300",
-        "--nodes",
-        "64",
-        *more,
-    ]
-    full = subprocess.run(command, capture_output=True, text=True, preexec_fn=limited(100_000), timeout=150)
-    assert full.returncode == 2 and len(full.stderr.splitlines()) == 1
-    assert "cannot write: File too large; make room" in full.stderr
+    command = ["run", "scene.toml", "-o", "out.nc", "--model", "cars", "--samples", "300", "--nodes", "64", *more]
+    with started(*command, preexec_fn=limited(100_000)) as full:
+        _, err = full.communicate(timeout=150)
+    assert full.returncode == 2 and len(err.splitlines()) == 1
+    assert "cannot write: File too large; make room" in err
     assert Path("out.nc").read_bytes() == b"old" or tr.open("out.nc").status.startswith("unfinished")
     assert sorted(os.listdir()) == (["c", "c.samples-0"] if more else []) + ["out.nc", "scene.toml"]
     if more:
-        assert "then go on with tr.resume" in full.stderr and "--resume" in full.stderr
+        assert "then go on with tr.resume" in err and "--resume" in err
         assert same(tr.resume("c"), tr.simulate(scene(duration=300.0), "cars", samples=300, nodes=64))
 
 
