@@ -12,7 +12,7 @@ import traffic_road as tr
 
 SCENE = replace(tr.preset("paper"), duration=30.0, scales=tr.Scales(11.0, 11.0, 200.0))
 MIXED = replace(SCENE, fleet=tr.Fleet(3, 0.1, speed=(1.0, 1.1, 0.9)))
-MADE = sorted(Path(os.environ.get("MADE", os.devnull)).glob("test_experiment_*/*.nc"))  # as .ci/run leaves them
+MADE = sorted(Path(os.environ.get("MADE", os.devnull)).glob("**/test_experiment_*/*.nc"))  # as .ci/run leaves them
 KINDS = {
     "cars": lambda: tr.simulate(SCENE, "cars", samples=4, nodes=256),
     "mixed cars": lambda: tr.simulate(MIXED, "cars", samples=4, nodes=60),

@@ -1,9 +1,7 @@
 """Every experiment runs in its quick form, asserts its numbers, and writes its data and picture."""
 
-import os
 import subprocess
 import sys
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import cf
@@ -15,25 +13,13 @@ FOLDER = Path(__file__).parent.parent / "experiments"
 SCRIPTS = sorted(p for p in FOLDER.glob("*.py") if "def main" in p.read_text())
 
 
-@pytest.fixture(scope="module")
-def runs(request, tmp_path_factory):
-    """What the selected scripts do, as many at once as there are cores: (process, folder) by script, to be waited for."""
-
-    def run(script, folder):
-        command = [sys.executable, str(script), "--quick", "--output", str(folder)]
-        return subprocess.run(command, capture_output=True, text=True, timeout=120), folder
-
-    scripts = [item.callspec.params["script"] for item in request.session.items if item.path == request.path]
-    with ThreadPoolExecutor(os.cpu_count()) as pool:
-        yield {s: pool.submit(run, s, tmp_path_factory.mktemp(f"test_experiment_{s.stem}")) for s in scripts}
-
-
 @pytest.mark.parametrize("script", SCRIPTS, ids=lambda p: p.stem)
-def test_experiment(script, runs):
-    done, folder = runs[script].result()
+def test_experiment(script, tmp_path):
+    command = [sys.executable, str(script), "--quick", "--output", str(tmp_path)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=120)
     assert done.returncode == 0, done.stderr
-    assert (folder / f"{script.stem}.png").stat().st_size > 10_000  # an empty figure has less
-    with xr.open_dataset(folder / f"{script.stem}.nc", decode_times=False) as ds:
+    assert (tmp_path / f"{script.stem}.png").stat().st_size > 10_000  # an empty figure has less
+    with xr.open_dataset(tmp_path / f"{script.stem}.nc", decode_times=False) as ds:
         numbers = [v.values for v in ds.data_vars.values() if v.dtype.kind == "f"]
     assert numbers and all(np.isfinite(v).any() for v in numbers)
-    cf.check_by_hand(folder / f"{script.stem}.nc")
+    cf.check_by_hand(tmp_path / f"{script.stem}.nc")

@@ -394,6 +394,32 @@ def test_killed_and_interrupted_sweeps_go_on(folder, monkeypatch):
     assert sorted(os.listdir(folder)) == ["o.nc", "small.toml"]
 
 
+@pytest.mark.parametrize("committed", [True, False])
+def test_an_interrupt_in_the_midst_of_a_transaction_counts_what_is_on_the_disk(folder, monkeypatch, committed):
+    add, kept = PointStore.add, []
+
+    def stop(row):
+        raise KeyboardInterrupt
+
+    def interrupted(store, rows):
+        if not rows or store.finished() < 2:
+            return add(store, rows)
+        try:
+            with monkeypatch.context() as patch:
+                if not committed:
+                    patch.setattr(json, "dumps", stop)  # after the transaction has begun
+                add(store, rows)
+        finally:
+            kept.append(store.finished())
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(PointStore, "add", interrupted)
+    with pytest.raises(KeyboardInterrupt) as caught:
+        tr.sweep(SMALL, {"road.softness": np.linspace(0.004, 0.005, 6)}, tolerance=1e-2, output="o.nc", workers=1)
+    assert f"; {kept[0]} of 6 points are finished, and kept in " in str(caught.value)
+    assert len(stored()) == kept[0] >= 2 + committed
+
+
 def test_what_is_complete_is_not_computed_again(folder, monkeypatch):
     over = {"duration": [20.0]}
     ds = tr.sweep(SMALL, over, model="linear", output="o.nc")

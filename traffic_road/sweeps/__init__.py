@@ -173,7 +173,9 @@ def _run(task, identity, output, workers, client, progress) -> dict[int, dict]:
                     report(len(rows) / points)
     except KeyboardInterrupt:
         kept = f"kept in {store.path}; the same sweep again goes on from there" if store is not None else "lost"
-        raise KeyboardInterrupt(f"interrupted; {len(rows)} of {points} points are finished, and {kept}") from None
+        # asked of the store: Ctrl-C may come between the commit of some rows and their entry in `rows`
+        done = len(rows) if store is None else store.finished()
+        raise KeyboardInterrupt(f"interrupted; {done} of {points} points are finished, and {kept}") from None
     finally:
         if store is not None:
             store.close()

@@ -63,6 +63,13 @@ class PointStore:
             self._connection.execute("COMMIT")
         except sqlite3.Error as error:
             raise StoreError(f"{self.path}: {_reason(error)}; the points stored before are kept") from None
+        finally:
+            if self._connection.in_transaction:  # an error or Ctrl-C came before the commit
+                self._connection.execute("ROLLBACK")
+
+    def finished(self) -> int:
+        """How many points are on the disk."""
+        return self._connection.execute("SELECT count(*) FROM points").fetchone()[0]
 
     def close(self) -> None:
         if self._connection is not None:
