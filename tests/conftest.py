@@ -1,4 +1,11 @@
-"""Profiles of the property tests: `pytest tests/test_properties.py --hypothesis-profile=full` tries above 10 000 inputs."""
+"""Profiles of the property tests: `pytest tests/test_properties.py --hypothesis-profile=full` tries above 10 000 inputs.
+
+There is a process of tests on every core, and each starts others: threads that wait by spinning would keep them off it.
+"""
+
+import os
+
+os.environ |= {"OPENBLAS_NUM_THREADS": "1", "OMP_WAIT_POLICY": "passive"}  # read when numpy and numba are loaded
 
 from hypothesis import HealthCheck, settings
 
