@@ -434,7 +434,8 @@ def test_band_by_way_of_every_other_node_is_the_transform(spread):
         (3, 30, 1, 0.0, 2, 0.02),
         (13, 16, 1, 0.01, 1, 0.02),
         (40, 9, 5, 0.02, 1, 0.0),
-        (515, 6, 3, 0.0, 1, tr.Exponential(0.02, 0.5)),
+        (515, 6, 3, 0.0, 1, tr.Exponential(0.02, 0.5)),  # beyond the range of the polynomials here and there
+        (515, 6, 3, 0.0, 1, tr.Exponential(0.06, 0.1)),  # and with too strong forces
         (600, 32, 1, 0.01, 4, 0.02),  # by way of every other node
         (777, 5, 3, 0.2, 1, tr.Bounded(0.02, 0.9)),
         (4097, 8, 3, 0.05, 4, 0.02),  # two panels
@@ -464,20 +465,35 @@ def test_vectorised_passages_are_the_iteration(value, shape):
     rng = np.random.default_rng(3)
     half, b, level = 0.4, 1e-3, -2.0
     numbers = even_kernels.passage(1.0, b, half, 1.0, (1, value, shape), level)
+    middle, reach, strain, *rest = numbers[6:]
     sure = 0
-    for before, down in zip(level + rng.uniform(-0.6, 0.6, 4000) / shape, rng.uniform(-1.2, 6, 4000), strict=True):
-        law = before, before - down, b, 1.0
-        contact, after, _, unsure = even_kernels._met_exponential(*law, numbers[7], level, shape, 0.0, *numbers[8:])
-        wanted = contact_height(before, before - down, b, half, 1.0, 1, value, shape, True)
-        if not unsure:
+    for before, down in zip(level + rng.uniform(-0.8, 0.8, 4000) / shape, rng.uniform(-1.2, 6, 4000), strict=True):
+        law = before, before - down
+        contact, after, sign, square = even_kernels._met_exponential(
+            *law, shape, 0.0, middle, *rest[:7], tuple(rest[7:])
+        )
+        wanted = contact_height(*law, b, half, 1.0, 1, value, shape, True)
+        if square <= strain and abs(before - level) <= even_kernels.RANGE / shape:
             sure += 1
-            assert contact == pytest.approx(wanted, abs=1e-13) and after == pytest.approx(
-                2 * wanted - before, abs=2e-13
-            )
-        contact, after, _ = even_kernels._met_bounded(*law, half, value, shape, 0.0)
-        wanted = contact_height(before, before - down, b, half, 1.0, 2, value, shape, True)
+            # 1e-12 of what the node sinks, and the rounding of a height of 10
+            assert contact == pytest.approx(wanted, abs=even_kernels.SLIGHT * (before - wanted) + 2e-14)
+            assert after == pytest.approx(2 * wanted - before, abs=2 * even_kernels.SLIGHT * (before - wanted) + 4e-14)
+            assert (sign > 0) == (wanted == before)
+        contact, after, _ = even_kernels._met_bounded(*law, b, 1.0, half, value, shape, 0.0)
+        wanted = contact_height(*law, b, half, 1.0, 2, value, shape, True)
         assert contact == pytest.approx(wanted, abs=1e-13) and after == pytest.approx(2 * wanted - before, abs=2e-13)
     assert 400 < sure < 4000  # both sides of the guard
+    assert 0 < reach < even_kernels.RANGE / shape  # what a block may move by before the next look at it
+
+
+@pytest.mark.parametrize("shape", [0.0, 1e-200, 0.3, 1e80, 1e308])
+def test_any_exponent_is_the_iteration(shape):
+    # far from what polynomials can do blocks are crossed by iteration; with shape 0 softness is constant
+    case = scene(softness=tr.Exponential(0.02, shape), diffusivity=0.0, amplitude=1e-2 if shape < 1 else 0.0)
+    found = run(case, [0.0, 20.0], nodes=64, hold=1)[-1].road_height
+    numerics = cars.numerics(case, {"nodes": 64, "hold": 1})
+    *_, wanted = mixed_samples(case, cars.sample_times(case, [0.0, 20.0], numerics), **numerics)
+    np.testing.assert_allclose(found, wanted.road_height, rtol=0, atol=1e-13)
 
 
 def test_threads_change_no_bit():

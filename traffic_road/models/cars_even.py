@@ -97,7 +97,8 @@ class _Cars:
             self.coefficients, s, self.factor, self.offset = scaled(A, B, half * value, omega2)
         else:
             T, D, e = recursion(A, B)
-            self.coefficients, s, self.factor, self.offset = np.concatenate(([0.0, T, D], e)), 1.0, 1.0, 0.0
+            s, self.factor, self.offset = 1.0, omega2 if kind == EXPONENTIAL else 1.0, 0.0
+            self.coefficients = np.concatenate(([0.0, T, D], self.factor * e))
         self.passage = s, B[0, 0], half, omega2, (kind, value, shape)
         self.newest = B[0, 0]
         self.lift_off, self.rows = scene.lift_off, rows

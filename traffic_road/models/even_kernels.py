@@ -21,6 +21,7 @@ import math
 
 import numpy as np
 from numba import njit, prange, uint64
+from numpy.polynomial.chebyshev import cheb2poly, chebinterpolate
 
 from ..laws import CONSTANT, EXPONENTIAL
 from ..schemes.passage import contact_height
@@ -28,7 +29,9 @@ from .even_layout import COMPILE, copy, hand_over, row_of
 
 FIELDS = 3  # of a car, before its contact heights: signs, f, f_-1
 DEEPEST = 16  # headways that go through a tile at a time
-FEW = 3e-3  # shape times the sinking of a node up to which the series below is exact to rounding
+RANGE, DEGREE = 0.6, 10  # shape times a height, about the level, for which a polynomial of the degree is right to 1e-13
+SLIGHT = 1e-12  # of the sinking of a node, some thousandth of the load's length: the error allowed
+FEW = 4.4e-3  # shape times that sinking up to which a series of five terms is that good
 
 
 def recursion(A, B):
@@ -53,12 +56,37 @@ def scaled(A, B, half_softness, omega2):
 def passage(s, b, half, omega2, law, level):
     """Numbers of the passage: s, b, half, omega^2, value, shape; for an exponential law about a road at `level` the rest."""
     kind, value, shape = law
-    scale = half * value * math.exp(shape * level) if kind == EXPONENTIAL else 0.0
-    g2 = omega2 * (1.0 - b)
-    k = 1.0 / (1.0 + g2 * scale)
-    d4, c4 = 42.0 * k**2 - 21.0 * k + 1.75, -28.0 * k**3 + 10.5 * k**2 - 1 / 24
+    first, rest = np.array([s, b, half, omega2, value, shape]), np.zeros(10 + DEGREE + 1)
+    if kind == EXPONENTIAL:
+        with np.errstate(all="ignore"):
+            rest[:] = _about(level, half * value, np.float64(shape), omega2 * (1.0 - b))
+        if not np.isfinite(np.delete(rest, STRAIN)).all():
+            rest[:], rest[REACH] = 0.0, -1.0  # every block is crossed carefully
+    return np.concatenate((first, rest))
+
+
+LEVEL, REACH, STRAIN = range(3)
+
+
+def _about(level, most, shape, g2):
+    """level; how far from it a block may begin; x_0^2 of a few passages, at most; shape; g_2 shape; coefficients."""
+    scale = most * np.exp(shape * level)
+    per_weight = cheb2poly(chebinterpolate(lambda y: -scale / (np.exp(-RANGE * y) + g2 * scale), DEGREE))
+    least, greatest = 1.0 / (1.0 + g2 * scale * np.exp(RANGE)), 1.0 / (1.0 + g2 * scale * np.exp(-RANGE))
+    k, spread = 0.5 * (least + greatest), 0.5 * (greatest - least)
+    few = min(
+        FEW,
+        (SLIGHT / (2.5 * spread**2)) ** (1 / 3),
+        (SLIGHT / (31.0 * spread**2)) ** (1 / 4),
+        (SLIGHT / (64.0 * spread)) ** (1 / 5),
+    )
+    c3, d3 = -5.0 * k**2 + 1 / 6 + 2.5 * spread**2, 10.0 * k - 2.5
+    c4, d4 = -28.0 * k**3 + 10.5 * k**2 - 1 / 24, 42.0 * k**2 - 21.0 * k + 1.75
     c5 = 42.0 * k**4 - 42.0 * k**3 + 35 / 3 * k**2 - 7 / 8 * k + 1 / 120
-    return np.array([s, b, half, omega2, value, shape, level, scale, g2, c4, d4, c5])
+    series = shape**2 * c3, shape * d3, shape**3 * c4, shape**2 * d4, shape**4 * c5
+    reach = (RANGE - 2.1 * DEEPEST * few) / shape
+    powers = (shape / RANGE) ** np.arange(DEGREE + 1)
+    return [level, reach, (few / shape) ** 2, g2, shape * g2, *series, *per_weight * powers]
 
 
 @njit(**COMPILE)
@@ -85,38 +113,45 @@ def _met_bounded(H, z_star, b, omega2, half, value, shape, least):
 
 
 @njit(**COMPILE)
-def _met_exponential(H, z_star, b, omega2, scale, level, shape, least, g2, c4, d4, c5):
-    """The same for alpha = value exp(shape h), scale = half value exp(shape level), and whether this is to rounding.
+def _met_exponential(H, f, shape, least, level, g2, slope, c3, d3, c4, d4, c5, u):
+    """The same for alpha = value exp(shape h), and x_0^2, to tell whether it is right; f = omega^2 z*.
 
-    With E = half alpha(H), q = E omega^2 (1 - b), w the force at H: x (q + exp(-shape x)) = -E w. With k = 1/(1 + q)
-    and t = shape x_0, x_0 = -E w k, x = x_0 (1 + k t (1 + t (2 k - 1/2 + t (5 k^2 - 5 k/2 + 1/6 + t (c_4 + c_5 t))))) as
-    far as |t| < FEW; c_4 by its tangent at the level, c4 + d4 k. exp by a polynomial and two squarings.
+    With E = half alpha(H), w the force at H: x (g_2 + exp(-shape x)/E) = -w, g_2 = omega^2 (1 - b). With k = 1/(1 + E g_2),
+    x_0 = -E k w and t = shape x_0, x = x_0 (1 + k t (1 + t (2 k - 1/2 + t (5 k^2 - 5 k/2 + 1/6 + t (c_4 + c_5 t))))). The
+    quadratic and c_4 are straight lines over the range of k, c + d k, and c_5 is that at its middle; all are scaled to
+    shape k and x_0 in place of k and t. -E k depends on H alone, a polynomial u about the level; and k = 1 - g_2 E k: no
+    exponential and no division are left.
     """
-    y = 0.25 * shape * (H - level)
-    y2 = y * y
-    y4 = y2 * y2
-    low = (1.0 + y) + y2 * (0.5 + y * (1 / 6))
-    high = (1 / 24 + y * (1 / 120)) + y2 * (1 / 720 + y * (1 / 5040)) + y4 * (1 / 40320)
-    root = low + y4 * high
-    root = root * root
-    E = scale * (root * root)
-    k = 1.0 / (1.0 + g2 * E)
-    per_weight = -(E * k)  # x_0 for the weight 1; all to here can be known before the car comes
-    t1 = shape * per_weight
-    ahead = 1.0 + g2 * H
-    weight = ahead - omega2 * z_star
+    d = H - level
+    d2 = d * d
+    even = u[0] + d2 * (u[2] + d2 * (u[4] + d2 * (u[6] + d2 * (u[8] + d2 * u[10]))))
+    per_weight = even + d * (u[1] + d2 * (u[3] + d2 * (u[5] + d2 * (u[7] + d2 * u[9]))))
+    k = shape + slope * per_weight
+    ahead = 1.0 + g2 * H  # all to here can be known before the car comes
+    weight = ahead - f
     w = least if weight < least else weight
-    t = t1 * w
     x0 = per_weight * w
-    series = (1.0 + t * (2.0 * k - 0.5)) + (t * t) * ((1 / 6 + k * (5.0 * k - 2.5)) + t * ((c4 + d4 * k) + c5 * t))
-    x = x0 + (x0 * (k * t)) * series
-    poor = (abs(y) > 0.125) | (abs(t) > FEW)
-    return H + x, H + 2.0 * x, 1.0 if weight <= 0.0 else -1.0, 1 if poor else 0
+    square = x0 * x0
+    q = (2.0 * k - 0.5 * shape) + x0 * ((c3 + d3 * k) + x0 * ((c4 + d4 * k) + c5 * x0))
+    x = x0 + (x0 * k) * (x0 + square * q)
+    h = H + x
+    return h, h + x, 1.0 if weight <= 0.0 else -1.0, square
+
+
+@njit(**COMPILE)
+def _beyond(road, at, rows, width, lanes, level, reach):
+    """Whether any height of a block is more than `reach` from `level`."""
+    count = 0
+    for r in range(rows):
+        start = uint64(at + r * width)
+        for i in range(uint64(lanes)):
+            count += 1 if abs(road[start + i] - level) > reach else 0
+    return count > 0
 
 
 @njit(**COMPILE)
 def _carefully(road, at, rows, width, lanes, state, car, hold, c, law, least):
-    """A block crossed node by node and car by car, each passage by iteration: what the series is not good enough for."""
+    """Rows of a block crossed node by node and car by car, each passage by iteration, where the series will not do."""
     heights = np.empty(hold + 1)
     for i in range(lanes):
         k = car + i
@@ -125,8 +160,11 @@ def _carefully(road, at, rows, width, lanes, state, car, hold, c, law, least):
             heights[q + 1] = state[k + (FIELDS + q) * width]
         for r in range(rows):
             before = road[at + r * width + i]
-            heights[0] = contact_height(before, f, law[1], law[2], law[3], EXPONENTIAL, law[4], law[5], least == 0.0)
-            signs += 1.0 if 1.0 + law[3] * (before - f - law[1] * before) <= 0.0 else -1.0
+            z_star = f / law[3]
+            heights[0] = contact_height(
+                before, z_star, law[1], law[2], law[3], EXPONENTIAL, law[4], law[5], least == 0.0
+            )
+            signs += 1.0 if 1.0 + law[3] * (before - z_star - law[1] * before) <= 0.0 else -1.0
             road[at + r * width + i] = 2.0 * heights[0] - before
             g = c[0] + c[1] * f + c[2] * f1
             for q in range(hold + 1):
@@ -161,7 +199,9 @@ def _make_sweep(width, hold, kind, unroll, parallel):
         if hold > 3:
             e4, e5 = c[7], c[8]
         s, b, half, omega2, value, shape = law[0], law[1], law[2], law[3], law[4], law[5]
-        level, scale, g2, c4, d4, c5 = law[6], law[7], law[8], law[9], law[10], law[11]
+        level, reach, strain, g2, slope = law[6], law[7], law[8], law[9], law[10]
+        c3, d3, c4, d4, c5 = law[11], law[12], law[13], law[14], law[15]
+        u = law[16], law[17], law[18], law[19], law[20], law[21], law[22], law[23], law[24], law[25], law[26]
         least = -slack
         cars = state.reshape(layout.panels, tiles, FIELDS + hold, width)
         deepest = min(DEEPEST, tiles)
@@ -171,7 +211,7 @@ def _make_sweep(width, hold, kind, unroll, parallel):
             headways = min(deepest, end_of_all - done)
             if headways > 1 or wedge:
                 for panel in prange(layout.panels):
-                    saved = np.empty((rows + FIELDS + hold) * width if kind == EXPONENTIAL else 0)
+                    saved = np.empty((unroll + FIELDS + hold) * width if kind == EXPONENTIAL else 0)
                     begin, end = (1, tiles) if wedge else (0, headways)
                     if headways == 1:
                         begin, end = 0, tiles
@@ -183,31 +223,36 @@ def _make_sweep(width, hold, kind, unroll, parallel):
                         lanes = min(lanes, width)
                         if lanes <= 0:
                             continue
+                        if kind == EXPONENTIAL:
+                            start = row_of(panel, tile * rows, layout)
+                            beyond = _beyond(road, start, rows, width, lanes, level, reach)
                         for headway in range(low, high):
                             car = uint64(panel * tiles + (tile - headway - done) % tiles) * size
-                            poor = 0
-                            if kind == EXPONENTIAL:
-                                start = row_of(panel, tile * rows, layout)
-                                copy(saved, 0, road, start, rows * width)
-                                copy(saved, rows * width, state, car, size)
                             for r in range(0, rows, unroll):
                                 at = uint64(row_of(panel, tile * rows + r, layout))
+                                poor = 0
                                 for i in range(uint64(lanes)):
+                                    strained = 0.0
+                                    if kind == EXPONENTIAL:
+                                        for node in range(unroll):
+                                            saved[uint64(node) * W1 + i] = road[at + uint64(node) * W1 + i]
+                                        for field in range(FIELDS + hold):
+                                            saved[uint64(unroll + field) * W1 + i] = state[car + i + uint64(field) * W1]
                                     k = car + i
                                     a, f, f1, h0 = state[k], state[k + W1], state[k + W2], state[k + W3]
                                     if hold > 1:
                                         h1, h2 = state[k + W4], state[k + W5]
                                     if hold > 3:
                                         h3, h4 = state[k + W6], state[k + W7]
-                                    for u in range(unroll):
-                                        x = at + uint64(u) * W1 + i
+                                    for node in range(unroll):
+                                        x = at + uint64(node) * W1 + i
                                         if kind == CONSTANT:
                                             h, road[x], sign = _met(road[x], f, s, slack)
                                         elif kind == EXPONENTIAL:
-                                            h, road[x], sign, unsure = _met_exponential(
-                                                road[x], f, b, omega2, scale, level, shape, least, g2, c4, d4, c5
+                                            h, road[x], sign, square = _met_exponential(
+                                                road[x], f, shape, least, level, g2, slope, c3, d3, c4, d4, c5, u
                                             )
-                                            poor += unsure
+                                            strained = square if square > strained else strained
                                         else:
                                             h, road[x], sign = _met_bounded(
                                                 road[x], f, b, omega2, half, value, shape, least
@@ -232,10 +277,15 @@ def _make_sweep(width, hold, kind, unroll, parallel):
                                         state[k + W4], state[k + W5] = h1, h2
                                     if hold > 3:
                                         state[k + W6], state[k + W7] = h3, h4
-                            if kind == EXPONENTIAL and poor:
-                                copy(road, start, saved, 0, rows * width)
-                                copy(state, car, saved, rows * width, size)
-                                _carefully(road, start, rows, width, lanes, state, int(car), hold, c, law, least)
+                                    if kind == EXPONENTIAL:
+                                        poor += 1 if strained > strain else 0
+                                if kind == EXPONENTIAL and (beyond or poor > 0):
+                                    for n in range(unroll):
+                                        copy(road, at + uint64(n) * W1, saved, n * width, lanes)
+                                    for n in range(FIELDS + hold):
+                                        copy(state, car + uint64(n) * W1, saved, (unroll + n) * width, lanes)
+                                    _carefully(road, at, unroll, width, lanes, state, int(car), hold, c, law, least)
+                                    beyond = _beyond(road, start, rows, width, lanes, level, reach)
             if wedge:
                 hand_over(cars, done + 1, done + headways, layout)
             else:
