@@ -8,7 +8,7 @@ import numpy as np
 from numba import njit
 
 from traffic_road.models.cars_state import kinds, node_behind, start
-from traffic_road.models.mixed_relaxation import LineRelaxation
+from traffic_road.models.line_relaxation import LineRelaxation
 from traffic_road.schemes import oscillator
 from traffic_road.schemes.passage import contact_height
 

@@ -14,6 +14,7 @@ from traffic_road.errors import SceneError, StabilityError
 from traffic_road.models import Sample, cars, even_kernels, even_relaxation
 from traffic_road.models.cars_mixed import mixed_samples
 from traffic_road.models.even_layout import layout
+from traffic_road.models.line_relaxation import LineRelaxation
 from traffic_road.schemes import relaxation
 from traffic_road.schemes.oscillator import propagator
 from traffic_road.schemes.passage import contact_height
@@ -408,6 +409,24 @@ def test_band_of_weights_is_the_transform(spread):
     # too narrow for a short band, too wide for a cheap one
     assert relaxation.band(0.1 * diffusion / spread, length, nodes) is None
     assert relaxation.band(1e4 * diffusion / spread, length, nodes) is None
+
+
+@pytest.mark.parametrize("nodes", [1, 2, 3, 8, 61, relaxation.SHORT_RING - 1, relaxation.SHORT_RING])
+@pytest.mark.parametrize("spread", [1e-3, 0.7, 30.0, 1e5])
+def test_all_pairs_around_a_short_ring_are_the_transform(nodes, spread):
+    height = np.random.default_rng(nodes).standard_normal(nodes)
+    found = height.copy()
+    LineRelaxation(tr.Constant(spread), float(nodes))(found, 1.0)
+    assert relaxation.band(spread, float(nodes), nodes) is not None
+    wanted = relaxation.relax_transform(height, relaxation.symbol(spread, float(nodes), nodes))
+    np.testing.assert_allclose(found, wanted, rtol=0, atol=3 * relaxation.TAIL * np.abs(height).max())
+    assert found.mean() == pytest.approx(height.mean(), abs=1e-14)
+
+
+def test_a_longer_ring_has_no_short_band_for_little_or_much_smoothing():
+    nodes = relaxation.SHORT_RING + 1
+    assert relaxation.band(0.7, float(nodes), nodes) is None and relaxation.band(1e3, float(nodes), nodes) is None
+    assert relaxation.band(30.0, float(nodes), nodes) is not None
 
 
 @pytest.mark.parametrize("spread", [13.0, 23.46, 46.9, 300.0])

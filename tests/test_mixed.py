@@ -9,7 +9,7 @@ from heap import heap_cars
 import traffic_road as tr
 from traffic_road.models import Sample, mixed_order
 from traffic_road.models.cars_mixed import mixed_samples
-from traffic_road.models.mixed_relaxation import LineRelaxation
+from traffic_road.models.line_relaxation import LineRelaxation
 from traffic_road.schemes.oscillator import settled, settled_at
 from traffic_road.schemes.relaxation import relax_transform, symbol
 

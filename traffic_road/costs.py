@@ -11,10 +11,11 @@ import numpy as np
 from .laws import Constant
 from .models import linear
 from .models.continuum_state import FEW_NODES, FEW_NODES_VARYING, Kinds, constant
+from .schemes.relaxation import SHORT_RING
 
 FIXED = {"linear": 0.7e-3, "continuum": 0.35e-3, "cars": 0.6e-3}  # of any run: scene to samples
 CALL = 4e-6  # of a compiled sweep of one headway
-CALL_RELAX = 20e-6  # of a relaxation
+CALL_RELAX, CALL_SHORT = 20e-6, 4e-6  # of a relaxation, and of a short ring's
 UPDATE = {1: 0.8e-9, 3: 1.2e-9, 5: 1.6e-9}  # a node crossed, by the hold
 LAW = 3e-9  # the same where the softness varies: 1.5e-9, but 20e-9 where it varies by half along the road
 ANY_ORDER = 15e-9  # the same for any fleet but an even one
@@ -35,7 +36,7 @@ def of_cars(scene, numerics: dict, even: bool) -> float:
         reach = 0.5 * interval * float(road.diffusivity(0.0)) * (np.pi * nodes / road.length) ** 2
         relax = CALL_RELAX + nodes * RELAX_LAW * (1 + np.sqrt(2 * reach))
     elif road.diffusivity.value > 0:
-        relax = CALL_RELAX + nodes * RELAX
+        relax = (CALL_RELAX if nodes > SHORT_RING else CALL_SHORT) + nodes * RELAX
     return FIXED["cars"] + headways * (sweep + relax / numerics["relax_every"])
 
 

@@ -7,9 +7,9 @@ import numpy as np
 from ..schemes import oscillator
 from . import Breath, Pace, Sample
 from .cars_state import force, kinds, level_of, node_behind, sink_rate, start
+from .line_relaxation import LineRelaxation
 from .mixed_kernels import LANES, coefficients, cross_until, workspace
 from .mixed_order import LENGTH, LEVEL, plan
-from .mixed_relaxation import LineRelaxation
 
 AT_A_TIME = 1_000_000  # passages of a run without relaxation between two moments at which it may be left
 STRETCHES = (8, 4, 2, 1, 1 / 2, 1 / 4, 1 / 8)  # mean headway times that units may last

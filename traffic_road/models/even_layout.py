@@ -89,23 +89,25 @@ def row_of(panel, row, layout):
 @njit(**COMPILE)
 def put(road, heights, first, layout):
     """road <- heights (nodes,) by node, node `first` being the first of block 0."""
-    nodes = heights.size
+    node = first % heights.size
     for block in range(layout.count):
         panel, tile, lane = place(block, layout)
         at = row_of(panel, tile * layout.rows, layout) + lane
         for r in range(layout.rows):
-            road[at + r * layout.width] = heights[(first + block * layout.rows + r) % nodes]
+            road[at + r * layout.width] = heights[node]
+            node = node + 1 if node + 1 < heights.size else 0
 
 
 @njit(**COMPILE)
 def get(heights, road, first, layout):
     """heights (nodes,) by node <- road; the other way round."""
-    nodes = heights.size
+    node = first % heights.size
     for block in range(layout.count):
         panel, tile, lane = place(block, layout)
         at = row_of(panel, tile * layout.rows, layout) + lane
         for r in range(layout.rows):
-            heights[(first + block * layout.rows + r) % nodes] = road[at + r * layout.width]
+            heights[node] = road[at + r * layout.width]
+            node = node + 1 if node + 1 < heights.size else 0
 
 
 @njit(**COMPILE)

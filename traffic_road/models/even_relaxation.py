@@ -11,8 +11,9 @@ import numpy as np
 from numba import njit, prange, uint64
 
 from ..laws import Constant
-from ..schemes.relaxation import band, relax_law, relax_transform, symbol, two_rates
+from ..schemes.relaxation import SHORT_RING, band, two_rates
 from .even_layout import COMPILE, NARROW, WIDTH, aligned, copy, get, place, put, row_of
+from .line_relaxation import LineRelaxation
 
 SHORTER = 0.75  # as much work at which a way by every other row, with more to copy, is taken
 BLOCK = 8  # rows of sums worked on at a time; what lies beyond the last is computed, too, and left out
@@ -248,28 +249,24 @@ class Relaxation:
         numbers = (layout.tiles * layout.rows // 2 + 2 * layout.margin) * layout.width
         self.scratch = aligned(threads * numbers).reshape(threads, numbers)
         self.acts = acts(scene)
-        self.ways: dict = {}  # headways -> weights, or the symbol where only a transform will do
+        self.ways: dict = {}  # headways -> weights, None where the road is relaxed as a line
+        self.line, self.along = np.empty(nodes), LineRelaxation(scene.road.diffusivity, scene.road.length)
 
     def relax(self, road, headways: float) -> None:
         if not self.acts or headways == 0:
             return
-        law, length, interval = self.scene.road.diffusivity, self.scene.road.length, headways * self.headway_time
-        if isinstance(law, Constant):
-            if headways not in self.ways:
-                weights = _weights(self.scene, self.nodes, self.layout, headways)
-                if weights and _wanted(weights) > self.layout.margin:
-                    weights = None  # a last interval, shorter than those that the margin was made for
-                self.ways[headways] = weights or symbol(law.value * interval, length, self.nodes)
-            way = self.ways[headways]
-            if isinstance(way, tuple):
-                _relax[self.parallel](road, self.layout, _depth(way), *way, self.scratch)
-                return
-        heights = np.empty(self.nodes)
-        get(heights, road, 0, self.layout)
-        relaxed = (
-            relax_transform(heights, way) if isinstance(law, Constant) else relax_law(heights, law, interval, length)
-        )
-        put(road, relaxed, 0, self.layout)
+        if headways not in self.ways:
+            way = _weights(self.scene, self.nodes, self.layout, headways)
+            if way is not None and _wanted(way) > self.layout.margin:
+                way = None  # a last interval, shorter than those that the margin was made for
+            self.ways[headways] = way
+        way = self.ways[headways]
+        if way is not None:
+            _relax[self.parallel](road, self.layout, _depth(way), *way, self.scratch)
+            return
+        get(self.line, road, 0, self.layout)
+        self.along(self.line, headways * self.headway_time)
+        put(road, self.line, 0, self.layout)
 
 
 def acts(scene) -> bool:
@@ -279,11 +276,7 @@ def acts(scene) -> bool:
 
 def margin(scene, nodes, layout, headways) -> int:
     """Rows that the panels of `layout` need at either end for relaxations over all these numbers of headways."""
-    ways = [
-        _weights(scene, nodes, layout, n)
-        for n in headways
-        if acts(scene) and isinstance(scene.road.diffusivity, Constant)
-    ]
+    ways = [_weights(scene, nodes, layout, n) for n in headways if acts(scene)]
     return max((_wanted(way) for way in ways if way is not None), default=0)
 
 
@@ -299,10 +292,11 @@ def _depth(way) -> int:
 
 
 def _weights(scene, nodes, layout, headways):
-    """centre, weights, own, even, odd, between of `_make_relax`; None where only a transform will do."""
-    if layout.width == 1:
+    """centre, weights, own, even, odd, between of `_make_relax`; None where the road is relaxed as a line."""
+    law, length = scene.road.diffusivity, scene.road.length
+    if nodes <= SHORT_RING or layout.width == 1 or not isinstance(law, Constant):
         return None
-    diffusion, length = scene.road.diffusivity.value * headways * scene.headway_time, scene.road.length
+    diffusion = law.value * headways * scene.headway_time
     none = np.empty(0)
     weights = band(diffusion, length, nodes)
     rates = two_rates(diffusion, length, nodes) if layout.tiles * layout.rows % 2 == 0 else None

@@ -21,6 +21,7 @@ from ..errors import SceneError
 from .scheme import Scheme, refuse_beyond
 
 LONGEST_BAND = 128  # half-width in nodes beyond which the transform is cheaper
+SHORT_RING = 384  # nodes up to which all pairs around the ring are cheaper still
 ROUNDING = 1e-16
 MOST_TERMS = 1_000_000  # Chebyshev polynomials, each with two transforms of the road
 TAIL = 5e-11  # what the band may leave out of a kernel whose sum is 1
@@ -35,7 +36,8 @@ def symbol(diffusion: float, length: float, nodes: int) -> np.ndarray:
 def band(diffusion: float, length: float, nodes: int) -> np.ndarray | None:
     """Weights w[0..n] of H_j -> w[0] H_j + sum_t w[t] (H_{j-t} + H_{j+t}), equal to `symbol` within 2 TAIL; else None.
 
-    None where no short band is that good: smoothing over less than a node or two, or over more than LONGEST_BAND.
+    None where no short band is that good, on a ring of more than SHORT_RING nodes: smoothing over less than a node or two,
+    or over more than LONGEST_BAND.
     """
     # a short kernel does not know how long the ring is: a shorter one gives it with less rounding
     ring = min(nodes, 4 * LONGEST_BAND)
@@ -43,7 +45,7 @@ def band(diffusion: float, length: float, nodes: int) -> np.ndarray | None:
     if ring % 2 == 0:
         kernel[-1] /= 2  # the node opposite is one, not a pair
     weights = _cut(kernel, 2 * diffusion * (nodes / length) ** 2)
-    return None if weights.size - 1 > LONGEST_BAND else weights
+    return None if weights.size - 1 > LONGEST_BAND and nodes > SHORT_RING else weights
 
 
 @lru_cache(maxsize=16)

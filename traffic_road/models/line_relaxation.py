@@ -32,10 +32,10 @@ def _scale(road, to, wide, centre, count, w):
 def relax_line(road, wide, weights):
     """road (nodes,) smoothed by the symmetric band `weights` (4 n + 1, padded with zeros); wide (nodes + 8 n,) is spare."""
     half, nodes = weights.size - 1, road.size
-    for i in range(half):
-        wide[i] = road[(i - half) % nodes]
-        wide[half + nodes + i] = road[i % nodes]
     wide[half : half + nodes] = road
+    for i in range(half):  # what has just been copied, if the band is wider than the ring
+        wide[half - 1 - i] = wide[half - 1 - i + nodes]
+        wide[half + nodes + i] = wide[half + i]
     for first in range(0, nodes, TILE):
         count, centre = uint64(min(TILE, nodes - first)), uint64(half + first)
         _scale(road, uint64(first), wide, centre, count, weights[0])
