@@ -10,6 +10,7 @@ ROOT = Path(traffic_road.__file__).parent
 # a module may import those of a lower rank, and those of its own package where MAY says so
 RANK = {
     "errors": 0,
+    "compiled": 0,
     "laws": 1,
     "memory": 1,
     "profiles": 2,

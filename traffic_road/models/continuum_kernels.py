@@ -16,8 +16,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
+from ..compiled import njit
 from ..schemes.exponential import POLYNOMIAL
 from ..schemes.passage import softness
 

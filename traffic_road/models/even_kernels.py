@@ -20,9 +20,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit, prange, uint64
+from numba import prange, uint64
 from numpy.polynomial.chebyshev import cheb2poly, chebinterpolate
 
+from ..compiled import njit
 from ..laws import CONSTANT, EXPONENTIAL
 from ..schemes.passage import contact_height
 from .even_layout import COMPILE, copy, hand_over, row_of

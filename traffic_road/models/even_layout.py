@@ -17,7 +17,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit, uint64
+from numba import uint64
+
+from ..compiled import njit
 
 WIDTH = 32  # lanes of a panel of a large fleet: four vectors, and the rows of a relaxation in the first-level cache
 NARROW = 8  # of a fleet below MANY, one vector

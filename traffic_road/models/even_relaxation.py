@@ -8,8 +8,9 @@ of each other. Eight rows of sums at a time gain four pairs of rows each. A long
 from __future__ import annotations
 
 import numpy as np
-from numba import njit, prange, uint64
+from numba import prange, uint64
 
+from ..compiled import njit
 from ..laws import Constant
 from ..schemes.relaxation import SHORT_RING, band, two_rates
 from .even_layout import COMPILE, NARROW, WIDTH, aligned, copy, get, place, put, row_of
@@ -250,7 +251,7 @@ class Relaxation:
         self.scratch = aligned(threads * numbers).reshape(threads, numbers)
         self.acts = acts(scene)
         self.ways: dict = {}  # headways -> weights, None where the road is relaxed as a line
-        self.line, self.along = np.empty(nodes), LineRelaxation(scene.road.diffusivity, scene.road.length)
+        self.along = LineRelaxation(scene.road.diffusivity, scene.road.length)
 
     def relax(self, road, headways: float) -> None:
         if not self.acts or headways == 0:
@@ -264,9 +265,10 @@ class Relaxation:
         if way is not None:
             _relax[self.parallel](road, self.layout, _depth(way), *way, self.scratch)
             return
-        get(self.line, road, 0, self.layout)
-        self.along(self.line, headways * self.headway_time)
-        put(road, self.line, 0, self.layout)
+        line = np.empty(self.nodes)
+        get(line, road, 0, self.layout)
+        self.along(line, headways * self.headway_time)
+        put(road, line, 0, self.layout)
 
 
 def acts(scene) -> bool:

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit, uint64
+from numba import uint64
 
+from ..compiled import njit
 from ..laws import Constant
 from ..schemes.relaxation import band, relax_law, relax_transform, symbol
 from .even_layout import COMPILE

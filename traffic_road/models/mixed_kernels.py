@@ -9,8 +9,9 @@ Indices of the inner loops are unsigned, as in `even_kernels`.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit, uint64
+from numba import uint64
 
+from ..compiled import njit
 from ..laws import CONSTANT
 from ..schemes.passage import contact_height
 from .even_layout import COMPILE, aligned

@@ -13,7 +13,9 @@ the cars are kept in ascending order from there.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit, uint64
+from numba import uint64
+
+from ..compiled import njit
 
 # times must round alike wherever they are formed: said outright, or a caller that contracts would hand that down
 OPTIONS = {"cache": True, "error_model": "numpy", "fastmath": False}

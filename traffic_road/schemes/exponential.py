@@ -13,8 +13,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from scipy.linalg import expm
+
+from ..compiled import njit
 
 DEGREE = 18  # of the Taylor polynomial for norms up to 1: 1/19! is below rounding
 LOOK = 0.5  # how far `stays_below` looks ahead at a time, and how often

@@ -11,8 +11,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
+from ..compiled import njit
 from ..laws import EXPONENTIAL
 from .scheme import Scheme, refuse_beyond
 

@@ -7,8 +7,9 @@ start of block i, so that the nodes that all cars cross at one moment lie side b
 from __future__ import annotations
 
 import numpy as np
-from numba import njit, uint64
+from numba import uint64
 
+from ..compiled import njit
 from ..laws import CONSTANT
 from .passage import contact_height, softness
 

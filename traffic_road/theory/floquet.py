@@ -9,8 +9,8 @@ grid, hold and interval.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from ..compiled import njit
 from ..errors import SceneError
 from ..laws import Constant, finite
 from ..schemes.oscillator import propagator

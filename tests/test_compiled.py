@@ -1,0 +1,82 @@
+"""Compiled code on the disk: what is read back is what was compiled, whoever else compiles, or is killed, meanwhile."""
+
+import re
+from importlib.util import find_spec, module_from_spec
+from pathlib import Path
+
+import pytest
+from numba.core import caching
+
+import traffic_road.compiled  # replaces what numba's own cache would do
+
+
+def own():
+    return caching.IndexDataCacheFile
+
+
+def numbas():
+    """The class as numba has it."""
+    spec = find_spec("numba.core.caching")
+    module = module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module.IndexDataCacheFile
+
+
+def meanwhile(kind, folder):
+    """What is found for each of two keys after one process has saved "one" while another saved "two"."""
+    first, second = kind(str(folder), "f", "source"), kind(str(folder), "f", "source")
+    before, write = second._load_index(), first._save_data
+    second._load_index = lambda: dict(before)
+
+    def interrupted(name, data):
+        second.save("two", 2)
+        write(name, data)
+
+    first._save_data = interrupted
+    first.save("one", 1)
+    return [kind(str(folder), "f", "source").load(key) for key in ("one", "two")]
+
+
+def killed(kind, folder):
+    """What is found for a key, known from an older source, after a process was killed before the new code was written."""
+    kind(str(folder), "f", "old source").save("key", "old code")
+    cache = kind(str(folder), "f", "source")
+
+    def kill(name, data):
+        raise KeyboardInterrupt
+
+    cache._save_data = kill
+    with pytest.raises(KeyboardInterrupt):
+        cache.save("key", "code")
+    return kind(str(folder), "f", "source").load("key")
+
+
+def test_two_processes_that_compile_at_the_same_time(tmp_path):
+    for found, wanted in zip(meanwhile(own(), tmp_path), (1, 2), strict=True):
+        assert found in (wanted, None)  # None: compiled once more
+
+
+def test_a_process_that_is_killed_before_the_code_is_written(tmp_path):
+    assert killed(own(), tmp_path) is None
+
+
+def test_what_is_saved_is_found(tmp_path):
+    cache = own()(str(tmp_path), "f", "source")
+    for key in range(5):
+        cache.save(key, str(key))
+    assert [own()(str(tmp_path), "f", "source").load(key) for key in range(6)] == ["0", "1", "2", "3", "4", None]
+    assert own()(str(tmp_path), "f", "other source").load(0) is None
+
+
+def test_numba_still_needs_this(tmp_path):
+    # if this fails numba has mended it: traffic_road/compiled.py can go
+    (tmp_path / "a").mkdir(), (tmp_path / "b").mkdir()
+    assert meanwhile(numbas(), tmp_path / "a")[1] == 1 and killed(numbas(), tmp_path / "b") == "old code"
+
+
+def test_nothing_is_compiled_without():
+    sources = {path.name: path.read_text() for path in Path(traffic_road.compiled.__file__).parent.rglob("*.py")}
+    assert sum("@njit(" in text for text in sources.values()) > 5
+    assert [name for name, text in sources.items() if re.search(r"^from numba import .*jit", text, re.M)] == [
+        "compiled.py"
+    ]

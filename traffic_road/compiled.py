@@ -1,0 +1,27 @@
+"""numba's `njit`, its cache on disk made safe for processes that compile at the same time, and for one that is killed.
+
+numba numbers the specialisations of a function as they are compiled, writes the number to an index, then the code to a file
+of that number. Two processes that compile different ones take the same number, and from then on one is run in the place of
+the other, without a word (numba issues 4807 and 10128); so is the code of an older source, after a process that ended in
+between. Here the file's number is a digest of what the code was compiled from, and the code is written before the index.
+"""
+
+from __future__ import annotations
+
+from hashlib import sha256
+
+from numba import njit
+from numba.core.caching import IndexDataCacheFile
+
+__all__ = ["njit"]
+
+
+def _save(self, key, data) -> None:
+    """In the place of IndexDataCacheFile.save. What two processes lose at most is an entry of the index."""
+    digest = sha256(self._dump((key, self._source_stamp))).digest()
+    name = self._data_name(int.from_bytes(digest[:8]))
+    self._save_data(name, data)
+    self._save_index(self._load_index() | {key: name})
+
+
+IndexDataCacheFile.save = _save
