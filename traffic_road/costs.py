@@ -16,10 +16,12 @@ from .schemes.relaxation import SHORT_RING
 FIXED = {"linear": 0.7e-3, "continuum": 0.35e-3, "cars": 0.6e-3}  # of any run: scene to samples
 CALL = 4e-6  # of a compiled sweep of one headway
 CALL_RELAX, CALL_SHORT = 20e-6, 4e-6  # of a relaxation, and of a short ring's
+PAIR = 7e-11  # two nodes of a short ring
 UPDATE = {1: 0.8e-9, 3: 1.2e-9, 5: 1.6e-9}  # a node crossed, by the hold
 LAW = 3e-9  # the same where the softness varies: 1.5e-9, but 20e-9 where it varies by half along the road
 ANY_ORDER = 15e-9  # the same for any fleet but an even one
-RELAX = 8e-9  # a node relaxed, constant diffusivity
+BAND, TRANSFORM = 3e-9, 17e-9  # a node relaxed, constant diffusivity: by weights nearby, or by way of all waves
+SPREAD = 2.4, 1024.0  # between which there are such weights: diffusivity times the interval over dx^2
 RELAX_LAW = 500e-9  # a node and a polynomial's degree
 
 
@@ -30,13 +32,16 @@ def of_cars(scene, numerics: dict, even: bool) -> float:
     varies = not isinstance(road.softness, Constant)
     update = (LAW if varies else UPDATE[hold]) if even else ANY_ORDER
     sweep = CALL + nodes * update
-    relax = 0.0
+    relax, interval, delta = 0.0, scene.headway_time * numerics["relax_every"], float(road.diffusivity(0.0))
     if not isinstance(road.diffusivity, Constant):
-        interval = scene.headway_time * numerics["relax_every"]
-        reach = 0.5 * interval * float(road.diffusivity(0.0)) * (np.pi * nodes / road.length) ** 2
+        reach = 0.5 * interval * delta * (np.pi * nodes / road.length) ** 2
         relax = CALL_RELAX + nodes * RELAX_LAW * (1 + np.sqrt(2 * reach))
-    elif road.diffusivity.value > 0:
-        relax = (CALL_RELAX if nodes > SHORT_RING else CALL_SHORT) + nodes * RELAX
+    elif delta > 0:
+        nearby = SPREAD[0] < delta * interval * (nodes / road.length) ** 2 < SPREAD[1]
+        short = nodes <= SHORT_RING
+        relax = (CALL_SHORT if short else CALL_RELAX) + nodes * (
+            BAND if nearby else nodes * PAIR if short else TRANSFORM
+        )
     return FIXED["cars"] + headways * (sweep + relax / numerics["relax_every"])
 
 
