@@ -384,6 +384,14 @@ def test_nearest_eigenpair_where_inverse_iteration_does_not_settle():
         np.testing.assert_allclose(matrix @ vector, value * vector, atol=1e-13)
 
 
+def test_nearest_eigenpair_of_a_guess_that_is_one_to_the_last_bit():
+    matrix = np.array([[0.5, 0.25, 0.0], [0.0, 1.0, 0.5], [0.0, 0.0, 2.0]], complex)
+    value, vector = nearest_eigenpair(matrix, 1.0)
+    assert value == pytest.approx(1.0, abs=1e-14)
+    np.testing.assert_allclose(matrix @ vector, vector, atol=1e-14)
+    assert np.linalg.norm(vector) == pytest.approx(1.0)
+
+
 def test_floquet_refuses_what_it_cannot_describe():
     with pytest.raises(SceneError, match="identical, evenly spaced"):
         floquet(replace(scene(), fleet=mixed_fleet()), K, nodes=64, hold=3, relax_every=1)

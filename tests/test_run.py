@@ -85,6 +85,15 @@ def test_a_flat_road_is_right_to_rounding():
     assert 0.01 < tr.simulate(flat, "cars", samples=2, nodes=64).error_estimate < 1.0
 
 
+@pytest.mark.parametrize("count", [3, 8, 16])
+def test_a_road_that_nothing_changes_is_right_to_rounding(count):
+    # all waves of its grid have the rate 0, which the guess of it meets to the last bit
+    rigid = tr.Scene(tr.Road(1.0, 0.0, 0.0, tr.Sine(1.0, 2 * np.pi)), tr.Fleet(count, 1.0), duration=3.0)
+    ds = tr.simulate(rigid, "cars", samples=3)
+    assert ds.error_estimate < 1e-14
+    np.testing.assert_allclose(ds.road_height[-1], ds.road_height[0], rtol=0, atol=1e-15)
+
+
 def test_times_are_those_at_which_samples_were_taken():
     even = tr.simulate(scene(), "cars", samples=21, nodes=64, relax_every=3)
     headway = 2 * np.pi / K / 8

@@ -65,6 +65,8 @@ def _is_linear(scene, numerics, last):
     laws = scene.road.softness, scene.road.diffusivity
     if (scene.lift_off and last.airborne) or not all(isinstance(law, Constant) for law in laws):
         return False
+    if not any(law.value for law in laws):
+        return False  # nothing changes such a road: all its waves have one rate, and none a shape of its own
     if 2 * scene.road.profile.highest_wave(scene.road.length) >= scene.fleet.count:
         return False  # waves that the cars take for longer ones
     few = numerics["nodes"] <= MOST_ROWS * scene.fleet.count

@@ -173,12 +173,15 @@ def _inverse_iteration(matrix, guess):
     for i in range(size):
         a[i, i] -= guess
     order = np.arange(size)
+    lost = max(np.finfo(np.float64).eps * np.abs(matrix).max(), np.finfo(np.float64).tiny)
     for n in range(size):  # LU with row pivots
         pivot = n + np.argmax(np.abs(a[n:, n]))
         if pivot != n:
             for j in range(size):
                 a[n, j], a[pivot, j] = a[pivot, j], a[n, j]
             order[n], order[pivot] = order[pivot], order[n]
+        if a[n, n] == 0:  # the guess is an eigenvalue, to the last bit
+            a[n, n] = lost
         per = 1.0 / a[n, n]
         for i in range(n + 1, size):
             factor = a[i, n] * per
