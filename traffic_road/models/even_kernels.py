@@ -136,7 +136,7 @@ def _met_exponential(H, f, shape, least, level, g2, slope, c3, d3, c4, d4, c5, u
     q = (2.0 * k - 0.5 * shape) + x0 * ((c3 + d3 * k) + x0 * ((c4 + d4 * k) + c5 * x0))
     x = x0 + (x0 * k) * (x0 + square * q)
     h = H + x
-    return h, h + x, 1.0 if weight <= 0.0 else -1.0, square
+    return h, h + x, -math.copysign(1.0, weight), square
 
 
 @njit(**COMPILE)
