@@ -1,9 +1,10 @@
 """How fast cars cross nodes: car-node updates a second through the cars model, beside a bare loop in the same run.
 
-The bare loop is the linear hold's arithmetic alone, plain numba over contiguous arrays: no lift-off, no relaxation, no
-sampling. Each rate is that of the second of two samples (what a run costs before its first step is left out), the best of
-several, each next to a bare loop of its own; 8 cars a wavelength, k = 0.9, alpha = 0.006, Gamma = 0.1, Delta = 0.01, and
-fleets that are not even from `mixed_cases`. What relaxing less often adds to sigma(k = 0.9) is told by the Floquet matrix.
+The bare loop is the arithmetic of the linear hold alone, plain numba over contiguous, aligned arrays: no lift-off, no
+relaxation, no sampling. Each rate is that of the second of two samples (what a run costs before its first step is left
+out), the best of several, each next to a bare loop of its own; 8 cars a wavelength, k = 0.9, alpha = 0.006, Gamma = 0.1,
+Delta = 0.01, and fleets that are not even from `mixed_cases`. What relaxing less often adds to sigma(k = 0.9) is told by
+the Floquet matrix.
 Bars are what the kernels are held to.
 
 Run: python experiments/benchmark.py [--quick]        (about 50 s; 12 s)
@@ -22,6 +23,7 @@ from numba import njit
 
 import traffic_road as tr
 from traffic_road.models import cars
+from traffic_road.models.even_layout import aligned
 from traffic_road.plots import BLUE, ORANGE, RED
 from traffic_road.schemes.oscillator import propagator
 
@@ -73,8 +75,10 @@ def bare(road, Z, P, h, A, B, push, scale):
 def bare_rate(cars: int, repeats: int, rows: int = 32) -> float:
     A, B = (c[0] for c in propagator(HEADWAY / rows, 1.0, DAMPING, 1))
     push = 0.5 * SOFTNESS * HEADWAY
-    road = 1e-3 * np.random.default_rng(0).standard_normal((rows, cars))
-    Z, P, h = np.zeros((3, cars))
+    # at the start of cache lines: elsewhere, where numpy may well put them, the loop is up to twice as slow
+    road, *car = (aligned(count * cars).reshape(count, cars) for count in (rows, 1, 1, 1))
+    road[:] = 1e-3 * np.random.default_rng(0).standard_normal(road.shape)
+    Z, P, h = (values[0] for values in car)
     best = np.inf
     for _ in range(40 * repeats):
         begin = time.perf_counter()
@@ -110,7 +114,8 @@ def measured(updates, repeats, threads, count, rows, hold, diffusivity, relax_ev
     law = diffusivity, relax_every, softness
     rate(count, 2 * relax_every, rows, hold, *law)
     if isinstance(softness, tr.Exponential):
-        updates = min(updates, 3e7)  # before cars take off: passages of many times the load are solved one by one
+        # before cars take off: passages of many times the load are solved one by one. Short runs vary more
+        updates, repeats = min(updates, 3e7), 4 * repeats
     headways = max(relax_every, min(LONGEST, int(updates / (rows * count))) // relax_every * relax_every)
     pairs = [(rate(count, headways, rows, hold, *law), bare_rate(CARS, 1)) for _ in range(repeats)]
     numba.set_num_threads(numba.config.NUMBA_NUM_THREADS)
