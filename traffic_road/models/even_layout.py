@@ -23,7 +23,7 @@ from ..compiled import njit
 
 WIDTH = 32  # lanes of a panel of a large fleet: four vectors, and the rows of a relaxation in the first-level cache
 NARROW = 8  # of a fleet below MANY, one vector
-MANY = 512  # cars from which on there are enough blocks for WIDTH lanes of many tiles
+MANY = 64  # cars from which on WIDTH lanes are faster, short as they may be
 PANEL = 2048  # cars of a panel: the road of one stays in the second-level cache, and threads share out panels
 COMPILE = {
     "cache": True,

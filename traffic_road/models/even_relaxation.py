@@ -17,6 +17,7 @@ from .even_layout import COMPILE, NARROW, WIDTH, aligned, copy, get, place, put,
 from .line_relaxation import LineRelaxation
 
 SHORTER = 0.75  # as much work at which a way by every other row, with more to copy, is taken
+SLIM = 48  # weights up to which a band along NARROW lanes is cheaper than a transform
 BLOCK = 8  # rows of sums worked on at a time; what lies beyond the last is computed, too, and left out
 
 
@@ -301,6 +302,12 @@ def _weights(scene, nodes, layout, headways):
     diffusion = law.value * headways * scene.headway_time
     none = np.empty(0)
     weights = band(diffusion, length, nodes)
+    if layout.width == NARROW:
+        return (
+            None
+            if weights is None or weights.size > SLIM
+            else (weights[0], _padded(weights[1:]), 1.0, none, none, none)
+        )
     rates = two_rates(diffusion, length, nodes) if layout.tiles * layout.rows % 2 == 0 else None
     if rates is not None and (weights is None or sum(w.size for w in rates) < 2 * SHORTER * weights.size):
         even, odd, half, between = rates
