@@ -11,10 +11,10 @@ import numpy as np
 from .laws import Constant
 from .models import linear
 from .models.continuum_state import FEW_NODES, FEW_NODES_VARYING, Kinds, constant
-from .models.even_layout import MANY
+from .models.even_layout import MANY, NARROW, WIDTH
 from .schemes.relaxation import SHORT_RING
 
-FIXED = {"linear": 0.7e-3, "continuum": 0.35e-3, "cars": 0.6e-3}  # of any run: scene to samples
+FIXED = {"linear": 0.7e-3, "continuum": 0.1e-3, "cars": 0.6e-3}  # of any run: scene to samples
 CALL = 4e-6  # of a compiled sweep of one headway
 CALL_RELAX, CALL_SHORT = 20e-6, 4e-6  # of a relaxation, and of a short ring's
 PAIR = 7e-11  # two nodes of a short ring
@@ -22,7 +22,7 @@ UPDATE = {1: 0.8e-9, 3: 1.2e-9, 5: 1.6e-9}  # a node crossed, by the hold
 LAW = 6e-9  # the same where the softness varies: 1.5e-9, but 20e-9 where it varies by half along the road
 ANY_ORDER = 15e-9  # the same for any fleet but an even one
 BAND, TRANSFORM = 3e-9, 15e-9  # a node relaxed, constant diffusivity: by weights nearby, or by way of all waves
-NARROW = 3.0  # times that of the weights for a fleet of few cars
+REACH = 10.0  # of such weights in nodes, over the root of the spread: below a lane's length
 SPREAD = 2.4, 1024.0  # between which there are such weights: diffusivity times the interval over dx^2
 RELAX_LAW = 500e-9  # a node and a polynomial's degree
 
@@ -39,11 +39,11 @@ def of_cars(scene, numerics: dict, even: bool) -> float:
         reach = 0.5 * interval * delta * (np.pi * nodes / road.length) ** 2
         relax = CALL_RELAX + nodes * RELAX_LAW * (1 + np.sqrt(2 * reach))
     elif delta > 0:
-        nearby = SPREAD[0] < delta * interval * (nodes / road.length) ** 2 < SPREAD[1]
+        spread, lanes = delta * interval * (nodes / road.length) ** 2, WIDTH if scene.fleet.count >= MANY else NARROW
+        nearby = SPREAD[0] < spread < SPREAD[1] and (not even or REACH * np.sqrt(spread) < nodes / lanes)
         short = nodes <= SHORT_RING
-        band = BAND if scene.fleet.count >= MANY or not even else NARROW * BAND
         relax = (CALL_SHORT if short else CALL_RELAX) + nodes * (
-            min(band, TRANSFORM) if nearby else nodes * PAIR if short else TRANSFORM
+            BAND if nearby else nodes * PAIR if short else TRANSFORM
         )
     return FIXED["cars"] + headways * (sweep + relax / numerics["relax_every"])
 
@@ -62,7 +62,7 @@ def of_linear(scene, numerics: dict, waves: int, even: bool) -> float:
 def of_continuum(scene, numerics: dict, leaps: bool) -> float:
     """leaps: no law varies and no car takes off, so that one exponential leads from sample to sample."""
     nodes, kinds = numerics["nodes"], len(Kinds.of(scene.fleet).speed)
-    build = nodes * (4e-6 + 2e-8 * (2 * kinds + 4) ** 3)
+    build = nodes * (2e-6 + 1e-8 * (2 * kinds + 4) ** 3)
     if leaps:
         return FIXED["continuum"] + build
     steps = scene.duration / numerics["step"]

@@ -13,11 +13,10 @@ from numba import prange, uint64
 from ..compiled import njit
 from ..laws import Constant
 from ..schemes.relaxation import SHORT_RING, band, two_rates
-from .even_layout import COMPILE, NARROW, WIDTH, aligned, copy, get, place, put, row_of
+from .even_layout import COMPILE, NARROW, WIDTH, aligned, copy, get, put, row_of
 from .line_relaxation import LineRelaxation
 
 SHORTER = 0.75  # as much work at which a way by every other row, with more to copy, is taken
-SLIM = 48  # weights up to which a band along NARROW lanes is cheaper than a transform
 BLOCK = 8  # rows of sums worked on at a time; what lies beyond the last is computed, too, and left out
 
 
@@ -177,12 +176,12 @@ def _row_behind(road, to_row, row, short_row, panel, layout):
 
 @njit(**COMPILE)
 def surround(road, depth, layout):
-    """Tile 0 of short lanes, and `depth` rows of the margins before and behind all lanes, filled from where they belong."""
+    """Tile 0 of short lanes, and `depth` rows of the margins before and behind all lanes, filled from where they belong.
+
+    depth: no more than a lane has, its first tile left out.
+    """
     rows, tiles, width = layout.rows, layout.tiles, layout.width
     span = tiles * rows
-    if depth > span - rows:
-        _surround_far(road, depth, layout)
-        return
     for panel in range(layout.panels):
         lanes = min(width, layout.lanes - panel * width)
         longs = min(max(0, layout.long - panel * width), lanes)
@@ -195,24 +194,6 @@ def surround(road, depth, layout):
             _row_before(road, -d, span - d, panel, 0, longs, layout)
             _row_before(road, -d, span - rows - d, panel, longs, lanes, layout)
             _row_behind(road, span + d - 1, d - 1, rows + d - 1, panel, layout)
-
-
-@njit(**COMPILE)
-def _surround_far(road, depth, layout):
-    """The same node by node, for lanes shorter than `depth`."""
-    rows, tiles, width = layout.rows, layout.tiles, layout.width
-    nodes = layout.count * rows
-    for lane in range(layout.lanes):
-        first = lane * tiles if lane < layout.long else layout.long * tiles + (lane - layout.long) * (tiles - 1) - 1
-        own = 0 if lane < layout.long else rows
-        for row in range(-depth, tiles * rows + depth):
-            if own <= row < tiles * rows:
-                continue
-            node = (first * rows + row) % nodes
-            panel, tile, i = place(node // rows, layout)
-            road[row_of(lane // width, row, layout) + lane % width] = road[
-                row_of(panel, tile * rows + node % rows, layout) + i
-            ]
 
 
 def _make_relax(parallel):
@@ -302,17 +283,16 @@ def _weights(scene, nodes, layout, headways):
     diffusion = law.value * headways * scene.headway_time
     none = np.empty(0)
     weights = band(diffusion, length, nodes)
-    if layout.width == NARROW:
-        return (
-            None
-            if weights is None or weights.size > SLIM
-            else (weights[0], _padded(weights[1:]), 1.0, none, none, none)
-        )
     rates = two_rates(diffusion, length, nodes) if layout.tiles * layout.rows % 2 == 0 else None
     if rates is not None and (weights is None or sum(w.size for w in rates) < 2 * SHORTER * weights.size):
         even, odd, half, between = rates
-        return half[0], _padded(half[1:]), even[0], _padded(even[1:]), _padded(odd), _padded(between)
-    return None if weights is None else (weights[0], _padded(weights[1:]), 1.0, none, none, none)
+        way = half[0], _padded(half[1:]), even[0], _padded(even[1:]), _padded(odd), _padded(between)
+    elif weights is not None:
+        way = weights[0], _padded(weights[1:]), 1.0, none, none, none
+    else:
+        return None
+    # a band that reaches beyond the next lane has more to fetch than it saves
+    return way if _depth(way) <= (layout.tiles - 1) * layout.rows else None
 
 
 def _padded(weights):
