@@ -13,7 +13,7 @@ import traffic_road as tr
 from traffic_road.errors import SceneError, StabilityError
 from traffic_road.models import Sample, cars, even_kernels, even_relaxation
 from traffic_road.models.cars_mixed import mixed_samples
-from traffic_road.models.even_layout import layout
+from traffic_road.models.even_layout import get, layout, put
 from traffic_road.models.line_relaxation import LineRelaxation
 from traffic_road.schemes import relaxation
 from traffic_road.schemes.oscillator import propagator
@@ -437,21 +437,60 @@ def test_a_longer_ring_has_no_short_band_for_little_or_much_smoothing():
     assert relaxation.band(30.0, float(nodes), nodes) is not None
 
 
-@pytest.mark.parametrize("spread", [13.0, 23.46, 46.9, 300.0])
-def test_band_by_way_of_every_other_node_is_the_transform(spread):
-    nodes = 2048
-    even, odd, half, between = relaxation.two_rates(spread, float(nodes), nodes)
-    wave = np.arange(0, nodes // 2 + 1, 16)
+def banded(weights, height):
+    """Roads (waves, nodes) after a symmetric band, in numpy."""
+    pairs = (w * (np.roll(height, t, 1) + np.roll(height, -t, 1)) for t, w in enumerate(weights) if t)
+    return weights[0] * height + sum(pairs)
+
+
+@pytest.mark.parametrize("spread", [relaxation.ALIASED, 11.7, 46.9, 300.0, 2700.0, 20000.0])
+def test_band_by_way_of_fewer_nodes_is_the_transform(spread):
+    nodes, depth = 2048, relaxation.deepest(spread)
+    wave = np.unique(np.concatenate((np.arange(0, nodes // 2 + 1, 16), np.arange(40))))
     height = np.cos(2 * np.pi / nodes * np.outer(wave, np.arange(nodes)) + wave[:, None])  # each wave by itself
-    whole, other = height[:, ::2], height[:, 1::2]
-    near = even[0] * whole + sum(even[t] * (np.roll(whole, t, 1) + np.roll(whole, -t, 1)) for t in range(1, even.size))
-    near += sum(odd[t] * (np.roll(other, t + 1, 1) + np.roll(other, -t, 1)) for t in range(odd.size))
-    on = half[0] * near + sum(half[t] * (np.roll(near, t, 1) + np.roll(near, -t, 1)) for t in range(1, half.size))
-    off = sum(between[t] * (np.roll(on, t, 1) + np.roll(on, -1 - t, 1)) for t in range(between.size))
     exact = relaxation.symbol(spread, float(nodes), nodes)[wave, None] * height
-    error = np.maximum(np.abs(on - exact[:, ::2]).max(axis=1), np.abs(off - exact[:, 1::2]).max(axis=1))
-    assert error.max() < 4 * relaxation.TAIL  # of three cuts and the waves that pass for others
-    assert error[0] < 1e-13 and error[-1] < 1e-13  # the mean stays, the shortest wave ends
+    for levels in range(max(1, depth - 1), depth + 1):
+        passes, weights = relaxation.levels(spread, levels)
+        assert passes.shape == (levels, relaxation.LOW_PASS + 1)
+        road = height
+        for low_pass in passes:
+            road = banded(low_pass, road)[:, ::2]
+        road = banded(weights, road)
+        for low_pass in passes[::-1]:
+            finer = np.zeros((wave.size, 2 * road.shape[1]))
+            finer[:, ::2] = 2 * road
+            road = banded(low_pass, finer)
+        error = np.abs(road - exact).max(axis=1)
+        assert error.max() < 2 * relaxation.TAIL  # of the band's fit and the waves that pass for others
+        assert error[0] < 1e-13 and error[-1] < 1e-13  # the mean stays, the shortest wave ends
+        # so does the growth of the spread: what is left of long waves misses by the fourth power of their angle
+        angle = 2 * np.pi * wave / nodes
+        kept = np.mean((road - exact) * height, axis=1) / np.mean(height**2, axis=1)
+        bound = relaxation.TAIL * (angle * weights.size * 2**levels) ** 4 / 12 + 1e-14
+        assert np.all(np.abs(kept[:40]) < bound[:40])
+
+
+@pytest.mark.parametrize(("count", "rows"), [(4096, 8), (701, 6), (1025, 4)])
+@pytest.mark.parametrize("spread", [1e-6, 0.02, 0.3, 0.73, 2.39])
+def test_little_smoothing_of_a_long_road_is_the_transform(count, rows, spread):
+    nodes = count * rows
+    road = tr.Road(float(nodes), 0.01, spread / rows)  # a headway takes `rows` units of time
+    case = tr.Scene(road, tr.Fleet(count, 0.1), 1.0)
+    where = layout(count, rows)
+    where = layout(count, rows, even_relaxation.margin(case, nodes, where, (1,)))
+    relaxation_of = even_relaxation.Relaxation(case, nodes, where)
+    wanted_factor = relaxation.symbol(spread, float(nodes), nodes)
+    waves = [np.cos(2 * np.pi * m / nodes * np.arange(nodes) + m) for m in (1, nodes // 4, nodes // 2 - 1, nodes // 2)]
+    for height in (np.random.default_rng(count).standard_normal(nodes), np.ones(nodes), *waves):
+        found, inside = np.empty(nodes), np.full(where.size, np.nan)  # whatever is not filled is seen
+        put(inside, height, 0, where)
+        relaxation_of.relax(inside, 1)
+        get(found, inside, 0, where)
+        error = np.abs(found - relaxation.relax_transform(height, wanted_factor)).max()
+        assert error < 4 * relaxation.TAIL
+        if height is waves[0] or np.ptp(height) == 0:  # mean and spread are kept to rounding
+            assert error < 2e-14
+    assert relaxation_of.ripples is not None
 
 
 @pytest.mark.parametrize(
@@ -523,8 +562,11 @@ def test_any_exponent_is_the_iteration(shape):
     np.testing.assert_allclose(found, wanted.road_height, rtol=0, atol=1e-13)
 
 
-def test_threads_change_no_bit():
-    case = tr.Scene(tr.Road(0.87 * 4100, 0.02, 0.05, tr.Sine(1.5, 2 * np.pi / 8.7)), tr.Fleet(4100, 0.1), 12 * 0.87)
+@pytest.mark.parametrize("diffusivity", [0.05, 2e-4])  # by bands, and by ripples
+def test_threads_change_no_bit(diffusivity):
+    case = tr.Scene(
+        tr.Road(0.87 * 4100, 0.02, diffusivity, tr.Sine(1.5, 2 * np.pi / 8.7)), tr.Fleet(4100, 0.1), 12 * 0.87
+    )
     before = numba.get_num_threads()
     if before < 2:
         pytest.skip("one thread is all there is")

@@ -11,7 +11,8 @@ import numpy as np
 from .laws import Constant
 from .models import linear
 from .models.continuum_state import FEW_NODES, FEW_NODES_VARYING, Kinds, constant
-from .models.even_layout import MANY, NARROW, WIDTH
+from .models.even_layout import MANY, layout
+from .models.even_ripple import halvings
 from .schemes.relaxation import SHORT_RING
 
 FIXED = {"linear": 0.7e-3, "continuum": 0.1e-3, "cars": 0.6e-3}  # of any run: scene to samples
@@ -21,9 +22,11 @@ PAIR = 7e-11  # two nodes of a short ring
 UPDATE = {1: 0.8e-9, 3: 1.2e-9, 5: 1.6e-9}  # a node crossed, by the hold
 LAW = 6e-9  # the same where the softness varies: 1.5e-9, but 20e-9 where it varies by half along the road
 ANY_ORDER = 15e-9  # the same for any fleet but an even one
-BAND, TRANSFORM = 3e-9, 15e-9  # a node relaxed, constant diffusivity: by weights nearby, or by way of all waves
-REACH = 10.0  # of such weights in nodes, over the root of the spread: below a lane's length
-SPREAD = 2.4, 1024.0  # between which there are such weights: diffusivity times the interval over dx^2
+# a node relaxed, constant diffusivity: by way of all waves, or by weights nearby; these along lanes, few of them, in a line
+TRANSFORM, BAND, NARROW_BAND, LINE_BAND = 15e-9, 1.6e-9, 6e-9, 3e-9
+RIPPLES = 6e-9  # of a large even fleet's long road, where there are no such weights for little smoothing
+SPREAD, LINE_SPREAD = 2.4, 164.0  # diffusivity times the interval over dx^2 between which there are such weights
+REACH = 17.0  # of the weights along lanes in nodes, over the root of that: below a lane's length
 RELAX_LAW = 500e-9  # a node and a polynomial's degree
 
 
@@ -39,12 +42,14 @@ def of_cars(scene, numerics: dict, even: bool) -> float:
         reach = 0.5 * interval * delta * (np.pi * nodes / road.length) ** 2
         relax = CALL_RELAX + nodes * RELAX_LAW * (1 + np.sqrt(2 * reach))
     elif delta > 0:
-        spread, lanes = delta * interval * (nodes / road.length) ** 2, WIDTH if scene.fleet.count >= MANY else NARROW
-        nearby = SPREAD[0] < spread < SPREAD[1] and (not even or REACH * np.sqrt(spread) < nodes / lanes)
-        short = nodes <= SHORT_RING
-        relax = (CALL_SHORT if short else CALL_RELAX) + nodes * (
-            BAND if nearby else nodes * PAIR if short else TRANSFORM
-        )
+        spread, count, short = delta * interval * (nodes / road.length) ** 2, scene.fleet.count, nodes <= SHORT_RING
+        band, most, transform = LINE_BAND, LINE_SPREAD, nodes * PAIR if short else TRANSFORM
+        if even and not short:
+            lanes = layout(count, nodes // count)
+            band, most = BAND if count >= MANY else NARROW_BAND, ((lanes.tiles - 1) * lanes.rows / REACH) ** 2
+            if spread <= SPREAD and halvings(nodes, lanes):
+                transform = RIPPLES
+        relax = (CALL_SHORT if short else CALL_RELAX) + nodes * (band if SPREAD < spread < most else transform)
     return FIXED["cars"] + headways * (sweep + relax / numerics["relax_every"])
 
 

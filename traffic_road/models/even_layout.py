@@ -92,11 +92,11 @@ def row_of(panel, row, layout):
 def put(road, heights, first, layout):
     """road <- heights (nodes,) by node, node `first` being the first of block 0."""
     node = first % heights.size
-    for block in range(layout.count):
-        panel, tile, lane = place(block, layout)
-        at = row_of(panel, tile * layout.rows, layout) + lane
-        for r in range(layout.rows):
-            road[at + r * layout.width] = heights[node]
+    for lane in range(layout.lanes):
+        panel, i = lane // layout.width, lane % layout.width
+        begin = row_of(panel, 0 if lane < layout.long else layout.rows, layout) + i
+        for at in range(begin, row_of(panel, layout.tiles * layout.rows, layout) + i, layout.width):
+            road[at] = heights[node]
             node = node + 1 if node + 1 < heights.size else 0
 
 
@@ -104,11 +104,11 @@ def put(road, heights, first, layout):
 def get(heights, road, first, layout):
     """heights (nodes,) by node <- road; the other way round."""
     node = first % heights.size
-    for block in range(layout.count):
-        panel, tile, lane = place(block, layout)
-        at = row_of(panel, tile * layout.rows, layout) + lane
-        for r in range(layout.rows):
-            heights[node] = road[at + r * layout.width]
+    for lane in range(layout.lanes):
+        panel, i = lane // layout.width, lane % layout.width
+        begin = row_of(panel, 0 if lane < layout.long else layout.rows, layout) + i
+        for at in range(begin, row_of(panel, layout.tiles * layout.rows, layout) + i, layout.width):
+            heights[node] = road[at]
             node = node + 1 if node + 1 < heights.size else 0
 
 

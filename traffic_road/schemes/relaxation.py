@@ -2,7 +2,8 @@
 
 Constant Delta: exact, H_k -> exp(-Delta k^2 interval) H_k. Where this smooths over many nodes its kernel is short, and a
 symmetric band of weights does the same at a fraction of the cost of a transform: within 1e-10 of every wave, and within
-rounding of the long ones, whose mean and spread it keeps.
+rounding of the long ones, whose mean and spread it keeps. Much smoothing needs fewer nodes (`levels`), and little of it a
+transform of few nodes only (`by_ripples`): within 2e-10 of every wave, and likewise of the long ones.
 Delta(H): exponential midpoint rule (Magnus): Delta as it is at half time, then exp(interval Delta(x) d2/dx2) to rounding
 by Chebyshev polynomials (Tal-Ezer 1989), about sqrt(72 reach) of them for a reach of interval Delta_max k_max^2 / 2. The
 steps that the wheels leave are as rough as the grid: a rule that treats the variation of Delta explicitly loses its order
@@ -25,6 +26,10 @@ SHORT_RING = 384  # nodes up to which all pairs around the ring are cheaper stil
 ROUNDING = 1e-16
 MOST_TERMS = 1_000_000  # Chebyshev polynomials, each with two transforms of the road
 TAIL = 5e-11  # what the band may leave out of a kernel whose sum is 1
+NARROWEST = 2.4  # diffusion / dx^2 below which the shortest wave is left with more, and no band is short
+LOW_PASS = 8  # half-width of the filters between every node and every other
+ALIASED = 10.7  # diffusion / dx^2 from which on they are good to TAIL
+SHARPEST = 20.0  # and beyond which they are good to rounding: sharper ones would let pass what is between
 
 
 def symbol(diffusion: float, length: float, nodes: int) -> np.ndarray:
@@ -48,41 +53,115 @@ def band(diffusion: float, length: float, nodes: int) -> np.ndarray | None:
     return None if weights.size - 1 > LONGEST_BAND and nodes > SHORT_RING else weights
 
 
-@lru_cache(maxsize=16)
-def two_rates(diffusion: float, length: float, nodes: int):
-    """Weights that do the same as `band`, equal to `symbol` within 2e-10, by way of every other node, 2 j:
+def deepest(spread: float) -> int:
+    """How often the rows can be halved for a smoothing of `spread` = diffusion / dx^2: what remains of waves of 4 must be
+    little, each time."""
+    return max(0, int(np.floor(np.log(max(spread, 1.0) / ALIASED) / np.log(4))) + 1)
 
-    u_j = even[0] H_2j + sum_t even[t] (H_2(j-t) + H_2(j+t)) + sum_t odd[t] (H_2j-1-2t + H_2j+1+2t), a Gaussian that ends
-    what would pass for a longer wave; relaxed as H by `half`; and between the nodes, sum_t between[t] (u_j-t + u_j+1+t).
-    Half the work of a long band. None where it is no shorter: what remains of waves of 4 nodes must be little.
+
+@lru_cache(maxsize=16)
+def levels(spread: float, depth: int) -> tuple[np.ndarray, np.ndarray]:
+    """Low passes (depth, LOW_PASS + 1) and a band w[0..n] that together are exp(-spread theta^2) within 2e-10 of every wave
+    theta, from node to node; spread = diffusion / dx^2.
+
+    By a low pass p down to every other node, u_j = p[0] H_2j + sum_t p[t] (H_2j-t + H_2j+t), and so on `depth` times;
+    the band; and up again, by twice the low pass over the nodes with zeros in between. The band makes good what the
+    low passes take from long waves: the mean is kept to rounding, and so is the growth of the spread, sum of t^2.
     """
-    spread = diffusion * (nodes / length) ** 2
-    # a wave theta passes for pi - theta: exp(-first (pi - theta)^2) of the first Gaussian, exp(-(spread - first) theta^2)
-    # of the rest; the worst is first (1 - first/spread) pi^2
-    decay = -np.log(TAIL) / np.pi**2
-    if spread < 5 * decay or spread > (LONGEST_BAND / 4) ** 2:
-        return None
-    first = spread / 2 * (1 - np.sqrt(1 - 4 * decay / spread))
-    reach = int(np.ceil(np.sqrt(-4 * first * np.log(TAIL / 2))))
-    near = np.exp(-(np.arange(reach + 1) ** 2) / (4 * first))
-    near[::2] /= 2 * (
-        near[0] + 2 * near[2::2].sum()
-    )  # the shortest wave, which would pass for the mean, is ended to rounding
-    near[1::2] /= 4 * near[1::2].sum()
-    ring = 8 * LONGEST_BAND
-    angle = np.pi * np.arange(ring // 2 + 1) / ring  # of waves on every node, up to the shortest on every other
-    passed = near[0] + 2 * np.cos(np.outer(angle, np.arange(1, reach + 1))) @ near[1:]
-    kernel = fft.irfft(np.exp(-spread * angle**2) / passed, n=ring)[: ring // 2 + 1]
-    half = _cut(kernel, (2 * spread - 2 * np.arange(reach + 1) ** 2 @ near) / 4)
-    # least squares with the waves' own weight; the longest ones, whose mean and spread are kept, count most
-    theta = np.linspace(0.0, np.pi / 2, 400)
-    weight = np.exp(-spread * theta**2) + 1e3 * np.exp(-100 * spread * theta**2)
-    for size in range(2, 20):
-        waves = 2 * np.cos(np.outer(theta, 2 * np.arange(size) + 1))
-        between = np.linalg.lstsq(waves * weight[:, None], weight, rcond=None)[0]
-        if np.max(np.abs(waves @ between - 1) * np.exp(-spread * theta**2)) < TAIL:
-            return near[::2], near[1::2], half, between
-    return None
+    passes = np.array([_low_pass(min(spread / 4**n, SHARPEST)) for n in range(depth)]).reshape(depth, LOW_PASS + 1)
+    theta = np.linspace(0.0, np.pi, 401)
+    passed, wanted = np.ones_like(theta), spread / 4**depth
+    wide = 2 * wanted  # the band's own sum of t^2 w[t]
+    for n, weights in enumerate(passes):
+        scale = 2.0 ** (n - depth)
+        passed *= _response(weights, scale * theta) ** 2
+        wide -= 4 * scale**2 * (np.arange(LOW_PASS + 1) ** 2 @ weights)
+    exact = np.exp(-wanted * theta**2)
+    for size in range(max(8, int(6 * np.sqrt(wanted)) // 4 * 4), LONGEST_BAND + 4, 4):
+        # weights at distance 2 and more are free, those at 0 and 1 keep mean and spread
+        t = np.arange(1, size + 1)
+        waves = 2 * (np.cos(np.outer(theta, t)) - 1)
+        free = waves[:, 1:] - waves[:, :1] * t[1:] ** 2
+        ahead = exact - passed * (1 + waves[:, 0] * wide / 2)
+        others = np.linalg.lstsq(free * passed[:, None], ahead, rcond=None)[0]
+        if np.max(np.abs(free @ others * passed - ahead)) < TAIL / 2:
+            break
+    weights = np.concatenate(([0.0, wide / 2 - t[1:] ** 2 @ others], others))
+    weights[0] = 1.0 - 2 * weights[1:].sum()
+    return passes, weights
+
+
+@lru_cache(maxsize=16)
+def by_ripples(spread: float, nodes: int, depth: int):
+    """Bands and low passes (depth each) and a symbol (nodes / 2^depth // 2 + 1,) that together are exp(-spread theta^2)
+    within 2e-10 of every wave, for a spread below NARROWEST, for which there is no short band.
+
+    H <- band(H) + up(H'), H' = down(H) relaxed likewise, by the next band; the last by the symbol. Down and up are by the
+    low pass, as in `levels`, the signs of odd nodes turned on the finest level: phi = pi - theta is the wave there.
+    """
+    phi = np.linspace(0.0, np.pi, 801)
+    slow = phi <= np.pi / 2  # what is taken down
+    low_pass = _low_pass(SHARPEST)
+    leaks = np.where(
+        slow, np.abs(_response(low_pass, np.pi - phi) / _response(low_pass, np.minimum(phi, np.pi / 2))), 1.0
+    )
+    bands = []
+
+    def left(n, phi):  # for level n to do, of what its bands do not
+        if n == 0:
+            return np.exp(-spread * (np.pi - phi) ** 2)
+        return (left(n - 1, phi / 2) - _response(bands[n - 1], phi / 2)) / _response(low_pass, phi / 2) ** 2
+
+    for n in range(depth):
+        passed = np.prod([_response(low_pass, phi / 2**m) ** 2 for m in range(1, n + 1)], axis=0)
+        wanted, counts = left(n, phi), leaks * passed
+        for size in range(8, 25, 4):
+            waves = np.cos(np.outer(phi, np.arange(size + 1)))
+            waves[:, 1:] *= 2
+            matrix, ahead = waves * np.maximum(counts, 1e-9)[:, None], wanted * np.maximum(counts, 1e-9)
+            if n == 0:  # mean and growth of the spread are kept
+                t = np.arange(size + 1)
+                signs = (-1.0) ** t
+                matrix = np.vstack((matrix, 1e3 * signs * np.where(t > 0, 2, 1), 1e2 * signs * t**2))
+                ahead = np.append(ahead, (1e3, 1e2 * spread))
+            weights = np.linalg.lstsq(matrix, ahead, rcond=None)[0]
+            if np.max(np.abs(wanted - waves @ weights) * counts) < TAIL / 5:
+                break
+        bands.append(weights)
+    angle = 2 * np.pi * np.arange((nodes >> depth) // 2 + 1) / (nodes >> depth)
+    factor = left(depth, angle)
+    bands[0] = bands[0] * (-1.0) ** np.arange(bands[0].size)
+    bands[0][0] = 1.0 - 2 * bands[0][1:].sum()
+    turned = low_pass * (-1.0) ** np.arange(low_pass.size)
+    return bands, [turned] + [low_pass] * (depth - 1), factor
+
+
+def _response(weights, theta):
+    """What a symmetric band does to waves theta."""
+    return weights[0] + 2 * np.cos(np.outer(theta, np.arange(1, weights.size))) @ weights[1:]
+
+
+def _low_pass(spread):
+    """The low pass (LOW_PASS + 1,) for a smoothing of `spread`: it ends what would pass for waves that remain.
+
+    Wave pi - theta passes for theta, of which exp(-spread theta^2) remains: that is the weight of least squares, over what
+    the low pass itself takes from theta. The shortest wave, which would pass for the mean, is ended to rounding.
+    """
+    theta = np.linspace(0.0, np.pi / 2, 201)[1:]
+    remains = np.exp(-spread * theta**2)
+    n = np.arange(LOW_PASS)
+    # cos^2(theta/2) (1 + sum q_n (cos(n theta) - 1)) is 1 at 0 and 0 at pi
+    ends, waves = np.sin(theta / 2) ** 2, np.cos(np.outer(np.pi - theta, n[1:])) - 1
+    weight = remains
+    for _ in range(2):
+        rest = np.linalg.lstsq((ends * weight)[:, None] * waves, -ends * weight, rcond=None)[0]
+        q = np.append(1 - rest.sum(), rest)
+        weight = remains / np.abs(np.cos(theta / 2) ** 2 * (np.cos(np.outer(theta, n)) @ q))
+    both = np.concatenate((q[:0:-1] / 2, q[:1], q[1:] / 2))
+    low_pass = np.convolve(both, (0.25, 0.5, 0.25))[LOW_PASS:]
+    low_pass[::2] /= 2 * (low_pass[0] + 2 * low_pass[2::2].sum())
+    low_pass[1::2] /= 4 * low_pass[1::2].sum()
+    return low_pass
 
 
 def _cut(kernel, spread):

@@ -1,0 +1,59 @@
+"""Rows before and behind the lanes of `even_layout`, copied to the panels' margins from where they belong."""
+
+from __future__ import annotations
+
+from numba import uint64
+
+from ..compiled import njit
+from .even_layout import COMPILE, copy, row_of
+
+
+@njit(**COMPILE)
+def _row_before(road, to_row, row, panel, begin, end, layout):
+    """Lanes begin..end of `to_row` of a panel <- `row` of the lane before each."""
+    width = layout.width
+    to = row_of(panel, to_row, layout)
+    if begin == 0 and end > 0:
+        lane = (panel * width - 1) % layout.lanes
+        road[to] = road[row_of(lane // width, row, layout) + lane % width]
+        begin = 1
+    if end > begin:
+        copy(road, uint64(to + begin), road, uint64(row_of(panel, row, layout) + begin - 1), end - begin)
+
+
+@njit(**COMPILE)
+def _row_behind(road, to_row, row, short_row, panel, layout):
+    """`to_row` of a panel <- of the lane behind each: `row` if that is long, `short_row` if not."""
+    width = layout.width
+    to = row_of(panel, to_row, layout)
+    lanes = min(width, layout.lanes - panel * width)
+    longer = min(max(0, layout.long - panel * width - 1), lanes)
+    inner = min(lanes, width - 1)
+    copy(road, uint64(to), road, uint64(row_of(panel, row, layout) + 1), min(longer, inner))
+    if inner > longer:
+        copy(road, uint64(to + longer), road, uint64(row_of(panel, short_row, layout) + longer + 1), inner - longer)
+    lane = (panel * width + lanes) % layout.lanes
+    source = row if lane < layout.long else short_row
+    road[to + lanes - 1] = road[row_of(lane // width, source, layout) + lane % width]
+
+
+@njit(**COMPILE)
+def surround(road, depth, layout):
+    """Tile 0 of short lanes, and `depth` rows of the margins before and behind all lanes, filled from where they belong.
+
+    depth: no more than a lane has, its first tile left out.
+    """
+    rows, tiles, width = layout.rows, layout.tiles, layout.width
+    span = tiles * rows
+    for panel in range(layout.panels):
+        lanes = min(width, layout.lanes - panel * width)
+        longs = min(max(0, layout.long - panel * width), lanes)
+        for r in range(rows):
+            _row_before(road, r, span - rows + r, panel, longs, lanes, layout)
+    for panel in range(layout.panels):
+        lanes = min(width, layout.lanes - panel * width)
+        longs = min(max(0, layout.long - panel * width), lanes)
+        for d in range(1, depth + 1):
+            _row_before(road, -d, span - d, panel, 0, longs, layout)
+            _row_before(road, -d, span - rows - d, panel, longs, lanes, layout)
+            _row_behind(road, span + d - 1, d - 1, rows + d - 1, panel, layout)
