@@ -8,7 +8,8 @@ from ..schemes import oscillator
 from . import Breath, Pace, Sample
 from .cars_state import force, kinds, level_of, node_behind, sink_rate, start
 from .line_relaxation import LineRelaxation
-from .mixed_kernels import LANES, coefficients, cross_until, workspace
+from .lanes import LANES
+from .mixed_kernels import coefficients, cross_until, workspace
 from .mixed_order import LENGTH, LEVEL, plan
 
 AT_A_TIME = 1_000_000  # passages of a run without relaxation between two moments at which it may be left
@@ -24,13 +25,15 @@ def mixed_samples(scene, times, left=None, *, nodes, hold, relax_every):
     distinct, kind_of = kinds(fleet)
     speed, frequency, damping, mass = distinct.T
     A, B = oscillator.propagator(dx / speed, frequency, damping, hold)
-    kind, value, shape = scene.road.softness.kernel
-    table = coefficients(A, B, 0.5 * mass * scene.headway / speed, frequency**2, value)
+    _, value, shape = law = scene.road.softness.kernel
+    kind, table, factor, offset = coefficients(A, B, 0.5 * mass * scene.headway / speed, frequency**2, law)
+    newest, factor, offset = B[kind_of, 0, 0], factor[kind_of], offset[kind_of]
     road = scene.road.profile.sample(length, nodes).copy()
     position = fleet.positions(length)
     behind = node_behind(position, dx)
     Z, P, past = start(scene, road, behind % nodes, kind_of, distinct, hold)
-    body = np.column_stack((Z, P, past))
+    free = A[kind_of, 0, 0] * Z + A[kind_of, 0, 1] * P + np.einsum("ij,ij->i", B[kind_of, 0, 1:], past)
+    body = np.column_stack((factor * free + offset, factor * (Z - newest * past[:, 0]) + offset, past))
     place = behind + 1
     crossed = np.zeros(fleet.count, dtype=np.int64)
     first_due = np.maximum((place * dx - position) / speed[kind_of], 0.0)
@@ -52,7 +55,8 @@ def mixed_samples(scene, times, left=None, *, nodes, hold, relax_every):
     arrays = {"road": road, "body": body, "order": order, "place": place, "crossed": crossed}
 
     def sample(time):
-        heights, contact = body[:, 0], body[:, 2]
+        contact = body[:, 2].copy()
+        heights = (body[:, 1] - offset) / factor + newest * contact
         pressed = force(scene, contact, heights, frequency[kind_of], mass[kind_of])
         where = (place - 1) % nodes * dx
         return Sample(float(time), road + level, heights + level, pressed, where, updates, airborne)
@@ -89,8 +93,9 @@ def mixed_samples(scene, times, left=None, *, nodes, hold, relax_every):
             relax(road, span if i < parts else span / 2)
             if sink * until // 1 != sink * (until - span) // 1:
                 sunk = level_of(road)
-                for heights in (road, body[:, 0], body[:, 2:]):  # P does not know the level
-                    heights -= sunk
+                road -= sunk
+                body[:, :2] -= (factor * (1.0 - newest) * sunk)[:, None]  # z* is Z less newest times a contact height
+                body[:, 2:] -= sunk
                 level += sunk
             if pace.due():
                 yield Breath(float(until), leave, lambda: road)
