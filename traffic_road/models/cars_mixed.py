@@ -8,8 +8,9 @@ from ..schemes import oscillator
 from . import Breath, Pace, Sample
 from .cars_state import force, kinds, level_of, node_behind, sink_rate, start
 from .line_relaxation import LineRelaxation
+from .even_layout import aligned
 from .lanes import LANES
-from .mixed_kernels import coefficients, cross_until, workspace
+from .mixed_kernels import RECORD, coefficients, cross_until, workspace
 from .mixed_order import LENGTH, LEVEL, plan
 
 AT_A_TIME = 1_000_000  # passages of a run without relaxation between two moments at which it may be left
@@ -33,13 +34,16 @@ def mixed_samples(scene, times, left=None, *, nodes, hold, relax_every):
     behind = node_behind(position, dx)
     Z, P, past = start(scene, road, behind % nodes, kind_of, distinct, hold)
     free = A[kind_of, 0, 0] * Z + A[kind_of, 0, 1] * P + np.einsum("ij,ij->i", B[kind_of, 0, 1:], past)
-    body = np.column_stack((factor * free + offset, factor * (Z - newest * past[:, 0]) + offset, past))
+    flat = aligned(RECORD * fleet.count)
+    body = flat.reshape(fleet.count, RECORD)  # passages without contact, f, f_-1, contact heights
+    body[:, 1], body[:, 2] = factor * free + offset, factor * (Z - newest * past[:, 0]) + offset
+    body[:, 3 : 3 + hold] = past
     place = behind + 1
     crossed = np.zeros(fleet.count, dtype=np.int64)
     first_due = np.maximum((place * dx - position) / speed[kind_of], 0.0)
     step = (dx / speed)[kind_of]
     order = np.lexsort((-np.arange(fleet.count), -first_due, place))
-    cars = (order, place, crossed, first_due, step, kind_of, body)
+    cars = (order, place, crossed, first_due, step, kind_of.astype(np.uint64), flat)
     plans = (
         np.empty((5, fleet.count), dtype=np.int64), np.zeros(nodes, dtype=np.int32), np.zeros(1, dtype=np.int64),
         np.empty((2 * fleet.count, 4), dtype=np.int64), np.empty(2 * fleet.count, dtype=np.int64),
@@ -55,20 +59,20 @@ def mixed_samples(scene, times, left=None, *, nodes, hold, relax_every):
     arrays = {"road": road, "body": body, "order": order, "place": place, "crossed": crossed}
 
     def sample(time):
-        contact = body[:, 2].copy()
-        heights = (body[:, 1] - offset) / factor + newest * contact
+        contact = body[:, 3].copy()
+        heights = (body[:, 2] - offset) / factor + newest * contact
         pressed = force(scene, contact, heights, frequency[kind_of], mass[kind_of])
         where = (place - 1) % nodes * dx
-        return Sample(float(time), road + level, heights + level, pressed, where, updates, airborne)
+        return Sample(float(time), road + level, heights + level, pressed, where, updates, int(body[:, 0].sum()))
 
     def leave():
-        counts = {"taken": taken, "part": i, "updates": updates, "airborne": airborne, "level": level}
+        counts = {"taken": taken, "part": i, "updates": updates, "level": level}
         return counts | {name: values.copy() for name, values in arrays.items()}
 
-    taken = i = updates = airborne = 0  # i: parts of the stretch between two samples
+    taken = i = updates = 0  # i: parts of the stretch between two samples
     level = 0.0  # what has been taken off all heights
     if left is not None:
-        taken, i, updates, airborne, level = (left[k] for k in ("taken", "part", "updates", "airborne", "level"))
+        taken, i, updates, level = (left[k] for k in ("taken", "part", "updates", "level"))
         for name, values in arrays.items():
             values[:] = left[name]
     else:
@@ -84,18 +88,16 @@ def mixed_samples(scene, times, left=None, *, nodes, hold, relax_every):
         while i < parts:
             i += 1
             until = begin + i * span if i < parts else end
-            done, lost = cross_until(
-                begin + (i - 1) * span + slack, until + slack, stretch, road, cars, table, plans, work, (0,) * hold,
+            updates += cross_until(
+                begin + (i - 1) * span + slack, until + slack, stretch, road, cars, table.reshape(-1), plans, work, (0,) * hold,
                 (0,) * kind, (value, shape), scene.lift_off,
             )  # fmt: skip
-            updates += done
-            airborne += lost
             relax(road, span if i < parts else span / 2)
             if sink * until // 1 != sink * (until - span) // 1:
                 sunk = level_of(road)
                 road -= sunk
-                body[:, :2] -= (factor * (1.0 - newest) * sunk)[:, None]  # z* is Z less newest times a contact height
-                body[:, 2:] -= sunk
+                body[:, 1:3] -= (factor * (1.0 - newest) * sunk)[:, None]  # z* is Z less newest times a contact height
+                body[:, 3 : 3 + hold] -= sunk
                 level += sunk
             if pace.due():
                 yield Breath(float(until), leave, lambda: road)

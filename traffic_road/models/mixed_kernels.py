@@ -25,29 +25,33 @@ ROWS = 64
 FAINT = 1e-9  # softness of a passage below which a force is lost in the rounding of the road, and no count of it kept
 N1, N2, N3, N4, N5, N6, N7, N8 = (np.uint64(n) for n in range(1, 9))
 L = np.uint64(LANES)
-# rows of the lanes' table: passages without contact, f, f_-1, contact heights (newest first), numbers of the kind of car
-LOST, F, F1, H0, H1, H2, H3, H4 = (np.uint64(n * LANES) for n in range(8))
-FIRST = 8  # number
-S, B, HALF, OMEGA2, C0, T, D, E0, E1, E2, E3, E4, E5 = (np.uint64(n * LANES) for n in range(FIRST, FIRST + 13))
+# rows of the lanes' table, eight of a record each: a car's passages without contact, f, f_-1, contact heights (newest
+# first); then numbers of its kind, of which the linear and cubic holds with constant softness need but the first record
+RECORD = 8
+LOST, F, F1, H0, H1, H2, H3, H4 = (np.uint64(n * LANES) for n in range(RECORD))
+S, C0, T, D, E0, E1, E2, E3 = (np.uint64(n * LANES) for n in range(RECORD, 2 * RECORD))
+E4, E5, B, HALF, OMEGA2 = (np.uint64(n * LANES) for n in range(2 * RECORD, 2 * RECORD + 5))
+STATE, NUMBERS, OTHERS = np.uint64(RECORD), np.uint64(2 * RECORD), np.uint64(RECORD)
 
 
 def coefficients(A, B, half, omega2, law):
-    """kind of law to be used, numbers (kinds, 8 + hold) for `cross_units`, factor and offset (kinds,): f = factor z* + offset.
+    """kind of law to be used, numbers (kinds, 16) for `cross_units`, factor and offset (kinds,): f = factor z* + offset.
 
     A, B as of the propagator; half = m headway/(2 u); law: (kind, value, shape).
     """
     kind, value, _ = law
     if kind == CONSTANT and np.any(half * value * omega2 < FAINT):
         kind = BOUNDED  # of shape 0: the same law, its passages decided one by one
-    table, factor, offset = [], np.ones(len(A)), np.zeros(len(A))
+    table, factor, offset = np.zeros((len(A), 2 * RECORD)), np.ones(len(A)), np.zeros(len(A))
     for n in range(len(A)):
         if kind == CONSTANT:
             c, s, factor[n], offset[n] = scaled(A[n], B[n], half[n] * value, omega2[n])
         else:
             trace, determinant, e = recursion(A[n], B[n])
             c, s = [0.0, trace, determinant, *e], 1.0
-        table.append([s, B[n, 0, 0], half[n], omega2[n], *c])
-    return kind, np.array(table), factor, offset
+        table[n, : len(c) + 1] = s, *c
+        table[n, RECORD + 2 : RECORD + 5] = B[n, 0, 0], half[n], omega2[n]
+    return kind, table, factor, offset
 
 
 @njit(**COMPILE)
@@ -56,7 +60,6 @@ def _cross_rows(heights, at, t, wide, rows, hold, kind, value, shape, slack):
     for i in range(wide):
         lost, f, f1, h0, h1, h2, h3, h4 = t[LOST + i], t[F + i], t[F1 + i], t[H0 + i], 0.0, 0.0, 0.0, 0.0
         c0, trace, determinant, e0, e1 = t[C0 + i], t[T + i], t[D + i], t[E0 + i], t[E1 + i]
-        e2, e3, e4, e5 = 0.0, 0.0, 0.0, 0.0
         s, b, half, omega2 = t[S + i], t[B + i], t[HALF + i], t[OMEGA2 + i]
         if len(hold) > 1:
             h1, h2, e2, e3 = t[H1 + i], t[H2 + i], t[E2 + i], t[E3 + i]
@@ -123,36 +126,42 @@ def _copy_nodes(heights, road, start, length, count, first, out):
 
 
 @njit(**COMPILE)
-def _enter(body, car, table, kind, of_kind, t, i):
-    """A car takes the lane i."""
-    if of_kind[i] != kind:
-        of_kind[i] = kind
-        for q in range(uint64(table.shape[1])):
-            t[S + q * L + i] = table[kind, q]
-    t[LOST + i] = 0.0
-    for q in range(uint64(body.shape[1])):
-        t[F + q * L + i] = body[car, q]
+def _enter(body, table, kind_of, car, count, t, others):
+    """Cars take the lanes up to `count`; the last also those that are left of a vector."""
+    for i in range(uint64(0), uint64(count), N8):
+        for n in range(max(uint64(count), i + N1), i + N8):
+            car[n] = car[n - N1]
+        c0, c1, c2, c3 = car[i], car[i + N1], car[i + N2], car[i + N3]
+        c4, c5, c6, c7 = car[i + N4], car[i + N5], car[i + N6], car[i + N7]
+        at = c0 * STATE, c1 * STATE, c2 * STATE, c3 * STATE, c4 * STATE, c5 * STATE, c6 * STATE, c7 * STATE
+        copy_in(t, LOST + i, body, *at)
+        k0, k1, k2, k3 = kind_of[c0] * NUMBERS, kind_of[c1] * NUMBERS, kind_of[c2] * NUMBERS, kind_of[c3] * NUMBERS
+        k4, k5, k6, k7 = kind_of[c4] * NUMBERS, kind_of[c5] * NUMBERS, kind_of[c6] * NUMBERS, kind_of[c7] * NUMBERS
+        copy_in(t, S + i, table, k0, k1, k2, k3, k4, k5, k6, k7)
+        if others:
+            k0, k1, k2, k3 = k0 + OTHERS, k1 + OTHERS, k2 + OTHERS, k3 + OTHERS
+            k4, k5, k6, k7 = k4 + OTHERS, k5 + OTHERS, k6 + OTHERS, k7 + OTHERS
+            copy_in(t, E4 + i, table, k0, k1, k2, k3, k4, k5, k6, k7)
 
 
 @njit(**COMPILE)
 def _leave(body, car, t, i):
-    """Car and lane part. Returns the passages without contact."""
-    for q in range(uint64(body.shape[1])):
-        body[car, q] = t[F + q * L + i]
-    return int(t[LOST + i])
+    """Car and lane part."""
+    k = car * STATE
+    body[k], body[k + N1], body[k + N2], body[k + N3] = t[LOST + i], t[F + i], t[F1 + i], t[H0 + i]
+    body[k + N4], body[k + N5], body[k + N6], body[k + N7] = t[H1 + i], t[H2 + i], t[H3 + i], t[H4 + i]
 
 
 @njit(**COMPILE)
 def cross_units(road, body, table, kind_of, units, ranking, total, work, hold, kind, law, lift_off):
-    """Every unit crosses its nodes, level by level. Returns the number of passages without contact.
+    """Every unit crosses its nodes, level by level.
 
-    body (cars, 2 + hold): f, f_-1, contact heights, newest first. table: `coefficients`. work: see `workspace`. hold, kind:
-    tuples of as many zeros, which the compiler knows. law: (value, shape).
+    body (cars * 8): passages without contact, f, f_-1, contact heights, newest first. table: `coefficients`, flat. work: see
+    `workspace`. hold, kind: tuples of as many zeros, which the compiler knows. law: (value, shape).
     """
-    heights, t, car, start, length, of_kind = work
+    heights, t, car, start, length = work
     value, shape = law
     slack = 0.0 if lift_off else np.inf
-    airborne = 0
     first = 0
     while first < total:
         level = units[ranking[first], LEVEL]
@@ -165,8 +174,7 @@ def cross_units(road, body, table, kind_of, units, ranking, total, work, hold, k
                 i -= 1
             car[i], start[i], length[i] = units[unit, CAR], units[unit, START], units[unit, LENGTH]
             count += 1
-        for i in range(uint64(count)):
-            _enter(body, car[i], table, kind_of[car[i]], of_kind, t, i)
+        _enter(body, table, kind_of, car, count, t, len(hold) > 3 or len(kind) != CONSTANT)
         live = count
         r = uint64(0)
         for piece in range(0, length[0], ROWS):
@@ -185,17 +193,16 @@ def cross_units(road, body, table, kind_of, units, ranking, total, work, hold, k
                     r += N1
                 while live > 0 and length[live - 1] == end:
                     live -= 1
-                    airborne += _leave(body, car[live], t, uint64(live))
+                    _leave(body, car[live], t, uint64(live))
             _copy_nodes(heights, road, start, length, here, piece, True)
         first += count
-    return airborne
 
 
 @njit(**COMPILE)
 def workspace():
-    """Heights under the lanes, the lanes' table, and what is in each lane."""
+    """Heights under the lanes, the lanes' table, and what is in each lane: car, first node, number of nodes."""
     lane = np.zeros((3, LANES), np.uint64)
-    return aligned(ROWS * LANES), aligned((FIRST + 13) * LANES), lane[0], lane[1], lane[2], np.full(LANES, -1)
+    return aligned(ROWS * LANES), aligned(3 * RECORD * LANES), lane[0], lane[1], lane[2]
 
 
 @njit(**COMPILE)
@@ -203,11 +210,11 @@ def cross_until(begin, end, stretch, road, cars, table, plans, work, hold, kind,
     """All passages due after `begin` and at `end` or before, in stretches of time of at most `stretch`.
 
     cars: order, place, crossed, first_due, step of `plan`, kind_of, and body of `cross_units`. plans: spare, touched, top,
-    units, ranking of `plan`. Returns the passages done and those without contact.
+    units, ranking of `plan`. Returns the passages done.
     """
     order, place, crossed, first_due, step, kind_of, body = cars
     spare, touched, top, units, ranking = plans
-    done = airborne = 0
+    done = 0
     parts = max(1, int(np.ceil((end - begin) / stretch)))
     part = 0
     while part < parts:
@@ -220,6 +227,6 @@ def cross_until(begin, end, stretch, road, cars, table, plans, work, hold, kind,
             continue
         for n in range(total):
             done += units[n, LENGTH]
-        airborne += cross_units(road, body, table, kind_of, units, ranking, total, work, hold, kind, law, lift_off)
+        cross_units(road, body, table, kind_of, units, ranking, total, work, hold, kind, law, lift_off)
         part += 1
-    return done, airborne
+    return done
