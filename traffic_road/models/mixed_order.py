@@ -16,11 +16,13 @@ import numpy as np
 from numba import uint64
 
 from ..compiled import njit
+from .lanes import LANES
 
 # times must round alike wherever they are formed: said outright, or a caller that contracts would hand that down
 OPTIONS = {"cache": True, "error_model": "numpy", "fastmath": False}
 CAR, START, LENGTH, LEVEL = range(4)  # columns of `units`; START in [0, nodes)
 RESET = 2**30
+CLASSES = 32
 
 
 @njit(**OPTIONS)
@@ -41,12 +43,10 @@ def _goes_first(a, b, node, place, crossed, first_due, step):
 def _count(until, order, place, crossed, first_due, step, reach):
     """reach <- the node that each car will be about to cross once all due at `until` or before are crossed."""
     furthest = place[order[0]]
-    for car in range(place.size):
-        n = max(int((until - first_due[car]) / step[car]), crossed[car])
-        while first_due[car] + n * step[car] <= until:
-            n += 1
-        while n > crossed[car] and first_due[car] + (n - 1) * step[car] > until:
-            n -= 1
+    for car in range(uint64(place.size)):
+        n = max(np.int64((until - first_due[car]) / step[car]), crossed[car])
+        n += first_due[car] + n * step[car] <= until  # the quotient and its rounding are each one short at most
+        n += first_due[car] + n * step[car] <= until
         reach[car] = place[car] + (n - crossed[car])
         furthest = max(furthest, reach[car])
     return furthest
@@ -101,15 +101,15 @@ def _sort(events, time):
 
 
 @njit(**OPTIONS)
-def _overtakes(order, after, place, crossed, first_due, step, reach):
-    """after <- the cars in ascending order at the end. Rows (overtaker, overtaken, node), in the order of time."""
-    after[:] = order
-    events = np.empty((64, 3), np.int64)
+def _overtakes(first, end, order, after, place, crossed, first_due, step, reach, events):
+    """Of the cars of ranks first..end; after <- those in ascending order at the end. `events` and the number of its rows
+    (overtaker, overtaken, node), in the order of time."""
+    after[first] = order[first]
     found = 0
-    for r in range(1, order.size):
+    for r in range(first + 1, end):
         car = order[r]
         s = r
-        while s > 0:
+        while s > first:
             other = after[s - 1]
             if reach[other] < reach[car] or (
                 reach[other] == reach[car] and not _goes_first(other, car, reach[car], place, crossed, first_due, step)
@@ -122,7 +122,8 @@ def _overtakes(order, after, place, crossed, first_due, step, reach):
             after[s] = other
             s -= 1
         after[s] = car
-    events = events[:found]
+    if found == 0:
+        return events, found
     time = np.empty(found)
     for e in range(found):
         i, j = events[e, 0], events[e, 1]
@@ -136,7 +137,7 @@ def _overtakes(order, after, place, crossed, first_due, step, reach):
             x -= 1
         events[e, 2], time[e] = x, _due(i, x, place, crossed, first_due, step)
     _sort(events, time)
-    return events
+    return events, found
 
 
 @njit(**OPTIONS)
@@ -194,19 +195,18 @@ def _advance(car, x, base, nodes, done, reach, own, touched, units, total):
 
 
 @njit(**OPTIONS)
-def _split(events, order, rank, nodes, done, reach, own, touched, base, units):
-    """Units of a stretch with overtakes, in time: before each, the two and those ahead of them reach its node."""
-    cars = order.size
-    total = 0
-    for r in range(cars):
+def _split(events, found, first, end, order, rank, nodes, done, reach, own, touched, base, units, total):
+    """Units of the cars of ranks first..end with overtakes, in time: before each, the two and those ahead of them reach
+    its node."""
+    for r in range(first, end):
         rank[order[r]] = r
-    own[:] = -1
-    for e in range(events.shape[0]):
+        own[order[r]] = -1
+    for e in range(found):
         i, j, x = events[e, 0], events[e, 1], events[e, 2]
         if rank[i] > rank[j]:
             continue
         r = rank[i] + 1
-        while r < cars and done[order[r]] < x:
+        while r < end and done[order[r]] < x:
             r += 1
         for s in range(r - 1, rank[i] - 1, -1):
             units, total = _advance(order[s], x, base, nodes, done, reach, own, touched, units, total)
@@ -215,27 +215,48 @@ def _split(events, order, rank, nodes, done, reach, own, touched, base, units):
             rank[order[s]] = s
         rank[i] = rank[j] + 1
         order[rank[i]] = i
-    for r in range(cars - 1, -1, -1):
+    for r in range(end - 1, first - 1, -1):
         units, total = _advance(order[r], reach[order[r]], base, nodes, done, reach, own, touched, units, total)
     return units, total
 
 
 @njit(**OPTIONS)
-def _in_line(order, nodes, place, reach, units):
-    """Units of a stretch without overtakes: a car waits for the one ahead if it will cross nodes of that one."""
-    total = 0
-    ahead = 2 * nodes
-    level = 1
-    for r in range(order.size - 1, -1, -1):
+def _add(units, total, car, start, length, level, nodes):
+    if total == units.shape[0]:
+        units = _longer(units)
+    units[total, CAR], units[total, START] = car, start if start < nodes else start - nodes
+    units[total, LENGTH], units[total, LEVEL] = length, level
+    return units, total + 1
+
+
+@njit(**OPTIONS)
+def _in_line(first, end, order, nodes, place, reach, base, units, total):
+    """Units of the cars of ranks first..end, none of which overtakes: each waits for the one ahead.
+
+    So that no long line waits for its first, it is cut before every so many cars: first all go as far as the cut ahead of
+    them, then those that reach beyond it, in line again.
+    """
+    most = (order.size + LANES - 1) // LANES
+    cut = 2 * nodes + 1
+    for r in range(end - 1, first - 1, -1):
+        n = (end - 1 - r) % most
+        if n == 0 and r < end - 1:
+            cut = place[order[r + 1]]
         car = order[r]
-        start, length = place[car], reach[car] - place[car]
+        length = min(reach[car], cut) - place[car]
         if length > 0:
-            level = level + 1 if start + length > ahead else 1
-            units[total, CAR], units[total, LENGTH], units[total, LEVEL] = car, length, level
-            units[total, START] = start if start < nodes else start - nodes
-            total += 1
-            ahead = start
-    return total
+            units, total = _add(units, total, car, place[car], length, base + 1 + n, nodes)
+    level, ahead = base + most, 2 * nodes + 1
+    for front in range(end - 1 - most, first - 1, -most):
+        cut = place[order[front + 1]]
+        for r in range(front, max(front - most, first - 1), -1):
+            car = order[r]
+            if reach[car] <= cut:
+                break  # nor do those behind it
+            level = level + 1 if reach[car] > ahead else base + most + 1
+            units, total = _add(units, total, car, cut, reach[car] - cut, level, nodes)
+            ahead = cut
+    return units, total
 
 
 @njit(**OPTIONS)
@@ -245,14 +266,16 @@ def _rank_units(units, total, base, ranking):
     for n in range(total):
         longest = max(longest, units[n, LENGTH])
         levels = max(levels, units[n, LEVEL] - base)
-    classes = min(longest + 1, 64)
-    room = np.zeros(levels * classes + 1, np.int64)
+    shift = 0
+    while longest >> shift >= CLASSES:
+        shift += 1
+    room = np.zeros(levels * CLASSES + 1, np.int64)
     for n in range(total):
-        room[(units[n, LEVEL] - base - 1) * classes + (longest - units[n, LENGTH]) * classes // (longest + 1) + 1] += 1
+        room[(units[n, LEVEL] - base - 1) * CLASSES + ((longest - units[n, LENGTH]) >> shift) + 1] += 1
     for key in range(1, room.size):
         room[key] += room[key - 1]
     for n in range(total):
-        key = (units[n, LEVEL] - base - 1) * classes + (longest - units[n, LENGTH]) * classes // (longest + 1)
+        key = (units[n, LEVEL] - base - 1) * CLASSES + ((longest - units[n, LENGTH]) >> shift)
         ranking[room[key]] = n
         room[key] += 1
     return levels
@@ -272,24 +295,35 @@ def plan(until, nodes, order, place, crossed, first_due, step, spare, touched, t
     furthest = _count(until, order, place, crossed, first_due, step, reach)
     if not _cut(nodes, furthest, order, place, reach, after):
         return units, ranking, -1
-    events = _overtakes(order, after, place, crossed, first_due, step, reach)
-    base = 0
-    if events.shape[0]:
-        if top[0] > RESET:
-            touched[:] = 0
-            top[0] = 0
-        base = top[0]
-        done[:] = place
-        units, total = _split(events, order, rank, nodes, done, reach, own, touched, base, units)
-        order[:] = after
-    else:
-        total = _in_line(order, nodes, place, reach, units)
+    if top[0] > RESET:
+        touched[:] = 0
+        top[0] = 0
+    base = top[0]
+    events = np.empty((64, 3), np.int64)
+    total = end = 0
+    while end < order.size:
+        # cars that have nothing to do with those before and behind: no common nodes
+        first, beyond = end, reach[order[end]]
+        end += 1
+        while end < order.size and place[order[end]] < beyond:
+            beyond = max(beyond, reach[order[end]])
+            end += 1
+        found = 0
+        if end > first + 1:
+            events, found = _overtakes(first, end, order, after, place, crossed, first_due, step, reach, events)
+        if found == 0:
+            units, total = _in_line(first, end, order, nodes, place, reach, base, units, total)
+            continue
+        for r in range(first, end):
+            done[order[r]] = place[order[r]]
+        units, total = _split(
+            events, found, first, end, order, rank, nodes, done, reach, own, touched, base, units, total
+        )
+        order[first:end] = after[first:end]
     if ranking.size < units.shape[0]:
         ranking = np.empty(units.shape[0], np.int64)
-    levels = _rank_units(units, total, base, ranking)
-    if events.shape[0]:
-        top[0] += levels
-    for car in range(place.size):
+    top[0] += _rank_units(units, total, base, ranking)
+    for car in range(uint64(place.size)):
         crossed[car] += reach[car] - place[car]
         place[car] = reach[car]
     return units, ranking, total
