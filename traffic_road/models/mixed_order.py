@@ -77,9 +77,9 @@ def _cut(nodes, furthest, order, place, reach, spare):
 
 
 @njit(**OPTIONS)
-def _longer(rows):
-    """Room for twice as many rows."""
-    more = np.empty((2 * rows.shape[0], rows.shape[1]), np.int64)
+def _longer(rows, wanted):
+    """Room for as many rows as wanted, and for as many more."""
+    more = np.empty((2 * wanted, rows.shape[1]), np.int64)
     more[: rows.shape[0]] = rows
     return more
 
@@ -101,6 +101,19 @@ def _sort(events, time):
 
 
 @njit(**OPTIONS)
+def _stay_in_order(first, end, order, place, crossed, first_due, step, reach):
+    """No car of ranks first..end overtakes another."""
+    for r in range(first + 1, end):
+        behind, ahead = order[r - 1], order[r]
+        if reach[behind] > reach[ahead] or (
+            reach[behind] == reach[ahead]
+            and _goes_first(behind, ahead, reach[ahead], place, crossed, first_due, step)
+        ):
+            return False
+    return True
+
+
+@njit(**OPTIONS)
 def _overtakes(first, end, order, after, place, crossed, first_due, step, reach, events):
     """Of the cars of ranks first..end; after <- those in ascending order at the end. `events` and the number of its rows
     (overtaker, overtaken, node), in the order of time."""
@@ -116,14 +129,12 @@ def _overtakes(first, end, order, after, place, crossed, first_due, step, reach,
             ):
                 break
             if found == events.shape[0]:
-                events = _longer(events)
+                events = _longer(events, found)
             events[found, 0], events[found, 1] = other, car
             found += 1
             after[s] = other
             s -= 1
         after[s] = car
-    if found == 0:
-        return events, found
     time = np.empty(found)
     for e in range(found):
         i, j = events[e, 0], events[e, 1]
@@ -170,12 +181,18 @@ def _top(touched, start, length):
 
 
 @njit(**OPTIONS)
+def _add(units, total, car, start, length, level, nodes):
+    units[total, CAR], units[total, START] = car, start if start < nodes else start - nodes
+    units[total, LENGTH], units[total, LEVEL] = length, level
+
+
+@njit(**OPTIONS)
 def _advance(car, x, base, nodes, done, reach, own, touched, units, total):
     """Let `car` cross its nodes up to x: as more of its last unit where that is free to go on, else as a new one."""
     x = min(x, reach[car])
     length = x - done[car]
     if length <= 0:
-        return units, total
+        return total
     start = done[car] if done[car] < nodes else done[car] - nodes
     top = max(_top(touched, start, length), base)
     last = own[car]
@@ -183,15 +200,13 @@ def _advance(car, x, base, nodes, done, reach, own, touched, units, total):
         units[last, LENGTH] += length
         _touch(touched, start, length, units[last, LEVEL])
     else:
-        if total == units.shape[0]:
-            units = _longer(units)
         level = (max(top, units[last, LEVEL]) if last >= 0 else top) + 1
-        units[total, CAR], units[total, START], units[total, LENGTH], units[total, LEVEL] = car, start, length, level
+        _add(units, total, car, start, length, level, nodes)
         own[car] = total
         total += 1
         _touch(touched, start, length, level)
     done[car] = x
-    return units, total
+    return total
 
 
 @njit(**OPTIONS)
@@ -208,44 +223,39 @@ def _split(events, found, first, end, order, rank, nodes, done, reach, own, touc
         r = rank[i] + 1
         while r < end and done[order[r]] < x:
             r += 1
+        if total + end - first > units.shape[0]:
+            units = _longer(units, total + end - first)
         for s in range(r - 1, rank[i] - 1, -1):
-            units, total = _advance(order[s], x, base, nodes, done, reach, own, touched, units, total)
+            total = _advance(order[s], x, base, nodes, done, reach, own, touched, units, total)
         for s in range(rank[i], rank[j]):
             order[s] = order[s + 1]
             rank[order[s]] = s
         rank[i] = rank[j] + 1
         order[rank[i]] = i
+    if total + end - first > units.shape[0]:
+        units = _longer(units, total + end - first)
     for r in range(end - 1, first - 1, -1):
-        units, total = _advance(order[r], reach[order[r]], base, nodes, done, reach, own, touched, units, total)
+        total = _advance(order[r], reach[order[r]], base, nodes, done, reach, own, touched, units, total)
     return units, total
 
 
 @njit(**OPTIONS)
-def _add(units, total, car, start, length, level, nodes):
-    if total == units.shape[0]:
-        units = _longer(units)
-    units[total, CAR], units[total, START] = car, start if start < nodes else start - nodes
-    units[total, LENGTH], units[total, LEVEL] = length, level
-    return units, total + 1
-
-
-@njit(**OPTIONS)
-def _in_line(first, end, order, nodes, place, reach, base, units, total):
+def _in_line(first, end, order, nodes, place, reach, base, most, units, total):
     """Units of the cars of ranks first..end, none of which overtakes: each waits for the one ahead.
 
-    So that no long line waits for its first, it is cut before every so many cars: first all go as far as the cut ahead of
+    So that no long line waits for its first, it is cut before every `most` cars: first all go as far as the cut ahead of
     them, then those that reach beyond it, in line again.
     """
-    most = (order.size + LANES - 1) // LANES
-    cut = 2 * nodes + 1
+    cut, n = 2 * nodes + 1, 0
     for r in range(end - 1, first - 1, -1):
-        n = (end - 1 - r) % most
-        if n == 0 and r < end - 1:
-            cut = place[order[r + 1]]
+        if n == most:
+            cut, n = place[order[r + 1]], 0
+        n += 1
         car = order[r]
         length = min(reach[car], cut) - place[car]
         if length > 0:
-            units, total = _add(units, total, car, place[car], length, base + 1 + n, nodes)
+            _add(units, total, car, place[car], length, base + n, nodes)
+            total += 1
     level, ahead = base + most, 2 * nodes + 1
     for front in range(end - 1 - most, first - 1, -most):
         cut = place[order[front + 1]]
@@ -254,9 +264,10 @@ def _in_line(first, end, order, nodes, place, reach, base, units, total):
             if reach[car] <= cut:
                 break  # nor do those behind it
             level = level + 1 if reach[car] > ahead else base + most + 1
-            units, total = _add(units, total, car, cut, reach[car] - cut, level, nodes)
+            _add(units, total, car, cut, reach[car] - cut, level, nodes)
+            total += 1
             ahead = cut
-    return units, total
+    return total
 
 
 @njit(**OPTIONS)
@@ -300,6 +311,7 @@ def plan(until, nodes, order, place, crossed, first_due, step, spare, touched, t
         top[0] = 0
     base = top[0]
     events = np.empty((64, 3), np.int64)
+    most = (order.size + LANES - 1) // LANES
     total = end = 0
     while end < order.size:
         # cars that have nothing to do with those before and behind: no common nodes
@@ -308,12 +320,12 @@ def plan(until, nodes, order, place, crossed, first_due, step, spare, touched, t
         while end < order.size and place[order[end]] < beyond:
             beyond = max(beyond, reach[order[end]])
             end += 1
-        found = 0
-        if end > first + 1:
-            events, found = _overtakes(first, end, order, after, place, crossed, first_due, step, reach, events)
-        if found == 0:
-            units, total = _in_line(first, end, order, nodes, place, reach, base, units, total)
+        if _stay_in_order(first, end, order, place, crossed, first_due, step, reach):
+            if total + 2 * (end - first) > units.shape[0]:
+                units = _longer(units, total + 2 * (end - first))
+            total = _in_line(first, end, order, nodes, place, reach, base, most, units, total)
             continue
+        events, found = _overtakes(first, end, order, after, place, crossed, first_due, step, reach, events)
         for r in range(first, end):
             done[order[r]] = place[order[r]]
         units, total = _split(
