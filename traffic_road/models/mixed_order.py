@@ -22,7 +22,8 @@ from .lanes import LANES
 OPTIONS = {"cache": True, "error_model": "numpy", "fastmath": False}
 CAR, START, LENGTH, LEVEL = range(4)  # columns of `units`; START in [0, nodes)
 RESET = 2**30
-CLASSES = 32
+CLASSES = 64
+GRAIN = 2  # levels are kept by every 2**GRAIN nodes: units that share so many wait for each other, too
 
 
 @njit(**OPTIONS)
@@ -85,11 +86,11 @@ def _longer(rows, wanted):
 
 
 @njit(**OPTIONS)
-def _sort(events, time):
+def _sort(events, time, found):
     """Events in the order of time; of those at the same time that of the lower overtaker goes first (Shell's sort)."""
-    gap = time.size // 2
+    gap = found // 2
     while gap > 0:
-        for n in range(gap, time.size):
+        for n in range(gap, found):
             i, j, x, when = events[n, 0], events[n, 1], events[n, 2], time[n]
             m = n
             while m >= gap and (time[m - gap] > when or (time[m - gap] == when and events[m - gap, 0] > i)):
@@ -114,9 +115,9 @@ def _stay_in_order(first, end, order, place, crossed, first_due, step, reach):
 
 
 @njit(**OPTIONS)
-def _overtakes(first, end, order, after, place, crossed, first_due, step, reach, events):
-    """Of the cars of ranks first..end; after <- those in ascending order at the end. `events` and the number of its rows
-    (overtaker, overtaken, node), in the order of time."""
+def _overtakes(first, end, order, after, place, crossed, first_due, step, reach, events, time):
+    """Of the cars of ranks first..end; after <- those in ascending order at the end. `events`, rows
+    (overtaker, overtaken, node) in the order of time, their times, replaced where they are too short, and their number."""
     after[first] = order[first]
     found = 0
     for r in range(first + 1, end):
@@ -128,14 +129,13 @@ def _overtakes(first, end, order, after, place, crossed, first_due, step, reach,
                 reach[other] == reach[car] and not _goes_first(other, car, reach[car], place, crossed, first_due, step)
             ):
                 break
-            if found == events.shape[0]:
-                events = _longer(events, found)
+            if found == time.size:
+                events, time = _longer(events, found), np.empty(2 * found)
             events[found, 0], events[found, 1] = other, car
             found += 1
             after[s] = other
             s -= 1
         after[s] = car
-    time = np.empty(found)
     for e in range(found):
         i, j = events[e, 0], events[e, 1]
         x = place[j]
@@ -147,37 +147,27 @@ def _overtakes(first, end, order, after, place, crossed, first_due, step, reach,
         while x > place[j] and _goes_first(i, j, x - 1, place, crossed, first_due, step):
             x -= 1
         events[e, 2], time[e] = x, _due(i, x, place, crossed, first_due, step)
-    _sort(events, time)
-    return events, found
+    _sort(events, time, found)
+    return events, time, found
 
 
 @njit(**OPTIONS)
-def _mark(touched, start, count, level):
-    for x in range(start, start + count):
+def _touch(touched, start, length, nodes, level):
+    """Mark the nodes from `start` on, around the ring, as crossed at `level`; by 2**GRAIN of them."""
+    for x in range(start >> GRAIN, ((min(start + length, nodes) - 1) >> GRAIN) + 1):
+        touched[x] = level
+    for x in range(((start + length - nodes - 1) >> GRAIN) + 1):
         touched[x] = level
 
 
 @njit(**OPTIONS)
-def _highest(touched, start, count, top):
-    for x in range(start, start + count):
+def _top(touched, start, length, nodes, top):
+    """The highest level that has crossed any node from `start` on, `top` at least."""
+    for x in range(start >> GRAIN, ((min(start + length, nodes) - 1) >> GRAIN) + 1):
+        top = max(top, touched[x])
+    for x in range(((start + length - nodes - 1) >> GRAIN) + 1):
         top = max(top, touched[x])
     return top
-
-
-@njit(**OPTIONS)
-def _touch(touched, start, length, level):
-    """Mark the nodes from `start` on, around the ring, as crossed at `level`."""
-    run = min(length, touched.size - start)
-    _mark(touched, uint64(start), uint64(run), np.int32(level))
-    _mark(touched, uint64(0), uint64(length - run), np.int32(level))
-
-
-@njit(**OPTIONS)
-def _top(touched, start, length):
-    """The highest level that has crossed any node from `start` on."""
-    run = min(length, touched.size - start)
-    top = _highest(touched, uint64(start), uint64(run), np.int32(0))
-    return np.int64(_highest(touched, uint64(0), uint64(length - run), top))
 
 
 @njit(**OPTIONS)
@@ -194,17 +184,17 @@ def _advance(car, x, base, nodes, done, reach, own, touched, units, total):
     if length <= 0:
         return total
     start = done[car] if done[car] < nodes else done[car] - nodes
-    top = max(_top(touched, start, length), base)
+    top = _top(touched, start, length, nodes, base)
     last = own[car]
     if last >= 0 and top < units[last, LEVEL]:
         units[last, LENGTH] += length
-        _touch(touched, start, length, units[last, LEVEL])
+        _touch(touched, start, length, nodes, units[last, LEVEL])
     else:
         level = (max(top, units[last, LEVEL]) if last >= 0 else top) + 1
         _add(units, total, car, start, length, level, nodes)
         own[car] = total
         total += 1
-        _touch(touched, start, length, level)
+        _touch(touched, start, length, nodes, level)
     done[car] = x
     return total
 
@@ -298,7 +288,7 @@ def plan(until, nodes, order, place, crossed, first_due, step, spare, touched, t
 
     order (cars,): cars in ascending order. place, crossed (cars,): the next node of each and the nodes crossed so far;
     car c crosses its n-th node, from 0, at first_due[c] + n * step[c]. spare (5, cars). touched (nodes,), the level at
-    which each node was crossed; top (1,): the highest so far. units (n, 4), ranking (n,): room, replaced where it is short.
+    which nodes were crossed; top (1,): the highest so far. units (n, 4), ranking (n,): room, replaced where it is short.
     Returns units, ranking (by level, the longer first) and their number; -1, and no car moved, if the time is so long
     that no node is left uncrossed.
     """
@@ -310,7 +300,7 @@ def plan(until, nodes, order, place, crossed, first_due, step, spare, touched, t
         touched[:] = 0
         top[0] = 0
     base = top[0]
-    events = np.empty((64, 3), np.int64)
+    events, time = np.empty((64, 3), np.int64), np.empty(64)
     most = (order.size + LANES - 1) // LANES
     total = end = 0
     while end < order.size:
@@ -325,13 +315,16 @@ def plan(until, nodes, order, place, crossed, first_due, step, spare, touched, t
                 units = _longer(units, total + 2 * (end - first))
             total = _in_line(first, end, order, nodes, place, reach, base, most, units, total)
             continue
-        events, found = _overtakes(first, end, order, after, place, crossed, first_due, step, reach, events)
+        events, time, found = _overtakes(
+            first, end, order, after, place, crossed, first_due, step, reach, events, time
+        )
         for r in range(first, end):
             done[order[r]] = place[order[r]]
         units, total = _split(
             events, found, first, end, order, rank, nodes, done, reach, own, touched, base, units, total
         )
-        order[first:end] = after[first:end]
+        for r in range(first, end):
+            order[r] = after[r]
     if ranking.size < units.shape[0]:
         ranking = np.empty(units.shape[0], np.int64)
     top[0] += _rank_units(units, total, base, ranking)
