@@ -16,7 +16,7 @@ from .mixed_relaxation import MixedRelaxation
 AT_A_TIME = 1_000_000  # passages of a run without relaxation between two moments at which it may be left
 STRETCHES = (8, 4, 2, 1, 1 / 2, 1 / 4, 1 / 8)  # mean headway times that units may last
 # what work costs, in ns: a row of units by its width, a unit, a unit more because of an overtake
-ROW, LANE, UNIT, OVERTAKE = 5.0, 0.35, 50.0, 200.0
+ROW, LANE, UNIT, OVERTAKE = 2.0, 0.65, 35.0, 200.0
 
 
 def mixed_samples(scene, times, left=None, *, nodes, hold, relax_every):
@@ -28,10 +28,14 @@ def mixed_samples(scene, times, left=None, *, nodes, hold, relax_every):
     A, B = oscillator.propagator(dx / speed, frequency, damping, hold)
     _, value, shape = law = scene.road.softness.kernel
     kind, table, factor, offset = coefficients(A, B, 0.5 * mass * scene.headway / speed, frequency**2, law)
-    newest, factor, offset = B[kind_of, 0, 0], factor[kind_of], offset[kind_of]
     road = aligned(nodes)
     road[:] = scene.road.profile.sample(length, nodes)
+    # neighbours on the road are neighbours in memory, at first at least
     position = fleet.positions(length)
+    number = np.argsort(position, kind="stable")
+    back = np.argsort(number)
+    position, kind_of = position[number], kind_of[number]
+    newest, factor, offset = B[kind_of, 0, 0], factor[kind_of], offset[kind_of]
     behind = node_behind(position, dx)
     Z, P, past = start(scene, road, behind % nodes, kind_of, distinct, hold)
     free = A[kind_of, 0, 0] * Z + A[kind_of, 0, 1] * P + np.einsum("ij,ij->i", B[kind_of, 0, 1:], past)
@@ -43,8 +47,8 @@ def mixed_samples(scene, times, left=None, *, nodes, hold, relax_every):
     crossed = np.zeros(fleet.count, dtype=np.int64)
     first_due = np.maximum((place * dx - position) / speed[kind_of], 0.0)
     step = (dx / speed)[kind_of]
-    order = np.lexsort((-np.arange(fleet.count), -first_due, place))
-    cars = (order, place, crossed, first_due, step, kind_of.astype(np.uint64), flat)
+    order = np.lexsort((-number, -first_due, place))
+    cars = (order, place, crossed, first_due, step, number, kind_of.astype(np.uint64), flat)
     plans = (
         np.empty((5, fleet.count), dtype=np.int64), np.zeros(nodes, dtype=np.int32), np.zeros(1, dtype=np.int64),
         np.empty((2 * fleet.count, 4), dtype=np.int64), np.empty(2 * fleet.count, dtype=np.int64),
@@ -64,7 +68,8 @@ def mixed_samples(scene, times, left=None, *, nodes, hold, relax_every):
         heights = (body[:, 2] - offset) / factor + newest * contact
         pressed = force(scene, contact, heights, frequency[kind_of], mass[kind_of])
         where = (place - 1) % nodes * dx
-        return Sample(float(time), road + level, heights + level, pressed, where, updates, int(body[:, 0].sum()))
+        cars_now = (values[back] for values in (heights + level, pressed, where))
+        return Sample(float(time), road + level, *cars_now, updates, int(body[:, 0].sum()))
 
     def leave():
         counts = {"taken": taken, "part": i, "updates": updates, "level": level}
@@ -108,11 +113,11 @@ def mixed_samples(scene, times, left=None, *, nodes, hold, relax_every):
 
 def _stretch(headway_time, nodes, cars, plans) -> float:
     """How long units last: longer ones cost less a node, until they wait for each other. By a trial of the first."""
-    order, place, crossed, first_due, step, *_ = cars
+    order, place, crossed, first_due, step, number, *_ = cars
     best, stretch = np.inf, STRETCHES[-1] * headway_time
     for headways in STRETCHES:
         trial = order.copy(), place.copy(), crossed.copy()
-        units, ranking, total = plan(headways * headway_time, nodes, *trial, first_due, step, *plans)
+        units, ranking, total = plan(headways * headway_time, nodes, *trial, first_due, step, number, *plans)
         if total < 1:
             continue
         units = units[ranking[:total]]

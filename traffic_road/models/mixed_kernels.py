@@ -209,10 +209,10 @@ def workspace():
 def cross_until(begin, end, stretch, road, cars, table, plans, work, hold, kind, law, lift_off):
     """All passages due after `begin` and at `end` or before, in stretches of time of at most `stretch`.
 
-    cars: order, place, crossed, first_due, step of `plan`, kind_of, and body of `cross_units`. plans: spare, touched, top,
+    cars: order, place, crossed, first_due, step, number of `plan`, kind_of, and body of `cross_units`. plans: spare, touched, top,
     units, ranking of `plan`. Returns the passages done.
     """
-    order, place, crossed, first_due, step, kind_of, body = cars
+    order, place, crossed, first_due, step, number, kind_of, body = cars
     spare, touched, top, units, ranking = plans
     done = 0
     parts = max(1, int(np.ceil((end - begin) / stretch)))
@@ -220,7 +220,7 @@ def cross_until(begin, end, stretch, road, cars, table, plans, work, hold, kind,
     while part < parts:
         until = end if part + 1 == parts else begin + (part + 1) * (end - begin) / parts
         units, ranking, total = plan(
-            until, road.size, order, place, crossed, first_due, step, spare, touched, top, units, ranking
+            until, road.size, order, place, crossed, first_due, step, number, spare, touched, top, units, ranking
         )
         if total < 0:
             part, parts = 2 * part, 2 * parts

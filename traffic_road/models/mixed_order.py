@@ -33,11 +33,11 @@ def _due(car, ahead, place, crossed, first_due, step):
 
 
 @njit(**OPTIONS)
-def _goes_first(a, b, node, place, crossed, first_due, step):
-    """Car a crosses `node` before car b; at the same time the lower car goes first."""
+def _goes_first(a, b, node, place, crossed, first_due, step, number):
+    """Car a crosses `node` before car b; at the same time that of the lower number goes first."""
     when_a = _due(a, node, place, crossed, first_due, step)
     when_b = _due(b, node, place, crossed, first_due, step)
-    return when_a < when_b or (when_a == when_b and a < b)
+    return when_a < when_b or (when_a == when_b and number[a] < number[b])
 
 
 @njit(**OPTIONS)
@@ -86,14 +86,14 @@ def _longer(rows, wanted):
 
 
 @njit(**OPTIONS)
-def _sort(events, time, found):
+def _sort(events, time, found, number):
     """Events in the order of time; of those at the same time that of the lower overtaker goes first (Shell's sort)."""
     gap = found // 2
     while gap > 0:
         for n in range(gap, found):
             i, j, x, when = events[n, 0], events[n, 1], events[n, 2], time[n]
             m = n
-            while m >= gap and (time[m - gap] > when or (time[m - gap] == when and events[m - gap, 0] > i)):
+            while m >= gap and (time[m - gap] > when or (time[m - gap] == when and number[events[m - gap, 0]] > number[i])):
                 events[m, 0], events[m, 1], events[m, 2] = events[m - gap, 0], events[m - gap, 1], events[m - gap, 2]
                 time[m] = time[m - gap]
                 m -= gap
@@ -102,20 +102,20 @@ def _sort(events, time, found):
 
 
 @njit(**OPTIONS)
-def _stay_in_order(first, end, order, place, crossed, first_due, step, reach):
+def _stay_in_order(first, end, order, place, crossed, first_due, step, number, reach):
     """No car of ranks first..end overtakes another."""
     for r in range(first + 1, end):
         behind, ahead = order[r - 1], order[r]
         if reach[behind] > reach[ahead] or (
             reach[behind] == reach[ahead]
-            and _goes_first(behind, ahead, reach[ahead], place, crossed, first_due, step)
+            and _goes_first(behind, ahead, reach[ahead], place, crossed, first_due, step, number)
         ):
             return False
     return True
 
 
 @njit(**OPTIONS)
-def _overtakes(first, end, order, after, place, crossed, first_due, step, reach, events, time):
+def _overtakes(first, end, order, after, place, crossed, first_due, step, number, reach, events, time):
     """Of the cars of ranks first..end; after <- those in ascending order at the end. `events`, rows
     (overtaker, overtaken, node) in the order of time, their times, replaced where they are too short, and their number."""
     after[first] = order[first]
@@ -126,7 +126,7 @@ def _overtakes(first, end, order, after, place, crossed, first_due, step, reach,
         while s > first:
             other = after[s - 1]
             if reach[other] < reach[car] or (
-                reach[other] == reach[car] and not _goes_first(other, car, reach[car], place, crossed, first_due, step)
+                reach[other] == reach[car] and not _goes_first(other, car, reach[car], place, crossed, first_due, step, number)
             ):
                 break
             if found == time.size:
@@ -142,12 +142,12 @@ def _overtakes(first, end, order, after, place, crossed, first_due, step, reach,
         late = _due(i, x, place, crossed, first_due, step) - _due(j, x, place, crossed, first_due, step)
         if late > 0.0 and step[j] > step[i]:
             x = min(x + int(late / (step[j] - step[i])), reach[j])
-        while x < reach[j] and not _goes_first(i, j, x, place, crossed, first_due, step):
+        while x < reach[j] and not _goes_first(i, j, x, place, crossed, first_due, step, number):
             x += 1
-        while x > place[j] and _goes_first(i, j, x - 1, place, crossed, first_due, step):
+        while x > place[j] and _goes_first(i, j, x - 1, place, crossed, first_due, step, number):
             x -= 1
         events[e, 2], time[e] = x, _due(i, x, place, crossed, first_due, step)
-    _sort(events, time, found)
+    _sort(events, time, found, number)
     return events, time, found
 
 
@@ -283,11 +283,12 @@ def _rank_units(units, total, base, ranking):
 
 
 @njit(**OPTIONS)
-def plan(until, nodes, order, place, crossed, first_due, step, spare, touched, top, units, ranking):
+def plan(until, nodes, order, place, crossed, first_due, step, number, spare, touched, top, units, ranking):
     """The units of all passages due at `until` or before, and the cars moved there.
 
     order (cars,): cars in ascending order. place, crossed (cars,): the next node of each and the nodes crossed so far;
-    car c crosses its n-th node, from 0, at first_due[c] + n * step[c]. spare (5, cars). touched (nodes,), the level at
+    car c crosses its n-th node, from 0, at first_due[c] + n * step[c]; number (cars,) tells which goes first at the same time.
+    spare (5, cars). touched (nodes,), the level at
     which nodes were crossed; top (1,): the highest so far. units (n, 4), ranking (n,): room, replaced where it is short.
     Returns units, ranking (by level, the longer first) and their number; -1, and no car moved, if the time is so long
     that no node is left uncrossed.
@@ -310,13 +311,13 @@ def plan(until, nodes, order, place, crossed, first_due, step, spare, touched, t
         while end < order.size and place[order[end]] < beyond:
             beyond = max(beyond, reach[order[end]])
             end += 1
-        if _stay_in_order(first, end, order, place, crossed, first_due, step, reach):
+        if _stay_in_order(first, end, order, place, crossed, first_due, step, number, reach):
             if total + 2 * (end - first) > units.shape[0]:
                 units = _longer(units, total + 2 * (end - first))
             total = _in_line(first, end, order, nodes, place, reach, base, most, units, total)
             continue
         events, time, found = _overtakes(
-            first, end, order, after, place, crossed, first_due, step, reach, events, time
+            first, end, order, after, place, crossed, first_due, step, number, reach, events, time
         )
         for r in range(first, end):
             done[order[r]] = place[order[r]]
