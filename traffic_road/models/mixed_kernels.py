@@ -215,7 +215,7 @@ def cross_until(begin, end, stretch, road, cars, table, plans, work, hold, kind,
     order, place, crossed, first_due, step, number, kind_of, body = cars
     spare, touched, top, units, ranking = plans
     done = 0
-    parts = max(1, int(np.ceil((end - begin) / stretch)))
+    parts = max(1, int(np.ceil((end - begin) / stretch - 0.25)))
     part = 0
     while part < parts:
         until = end if part + 1 == parts else begin + (part + 1) * (end - begin) / parts

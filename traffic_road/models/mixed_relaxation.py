@@ -12,38 +12,50 @@ from ..compiled import njit
 from ..laws import Constant
 from ..schemes.relaxation import LONGEST_BAND, band
 from .even_layout import COMPILE, Layout, aligned, row_of
-from .even_relaxation import BLOCK, smooth, surround
-from .lanes import LANES, copy_in, copy_out
+from .even_relaxation import surround
+from .lanes import LANES, copy_in, smooth_out
 from .line_relaxation import LineRelaxation
 
 LEAST = 64 * LANES  # nodes below which the margins outweigh the lanes
-MARGIN = LONGEST_BAND + 8 * BLOCK  # rows; of what is computed beyond the last, too
-EIGHT = np.uint64(8)
+MARGIN = LONGEST_BAND + 3  # rows of the widest band, filled up to pairs of fours
+L = np.uint64(LANES)
+N1, N2, N3, N4, N5, N6, N7, N8 = (np.uint64(n) for n in range(1, 9))
 
 
 @njit(**COMPILE)
-def turn(line, lanes, layout, out):
-    """lanes <- line, or the other way round; of a lane that is a row short the first is not its own, and is left."""
-    tiles, long = layout.tiles, layout.long
-    for lane in range(0, LANES, 8):
-        own = 0 if lane + 8 <= long else 1
-        start = np.empty(8, np.uint64)
-        for n in range(8):
-            start[n] = uint64((lane + n) * tiles - max(0, lane + n - long) - (1 if lane + n >= long else 0))
-        first = uint64(row_of(0, 0, layout) + lane)
-        s0, s1, s2, s3, s4, s5, s6, s7 = start[0], start[1], start[2], start[3], start[4], start[5], start[6], start[7]
-        for row in range(uint64(own), uint64(tiles), EIGHT):
-            r = min(row, uint64(tiles) - EIGHT)  # the last eight may be copied twice
-            at = first + r * uint64(LANES)
-            if out:
-                copy_out(lanes, at, line, s0 + r, s1 + r, s2 + r, s3 + r, s4 + r, s5 + r, s6 + r, s7 + r)
-            else:
-                copy_in(lanes, at, line, s0 + r, s1 + r, s2 + r, s3 + r, s4 + r, s5 + r, s6 + r, s7 + r)
-        for n in range(min(8, long - lane) if own == 1 else 0):
-            if out:
-                line[start[n]] = lanes[first + uint64(n)]
-            else:
-                lanes[first + uint64(n)] = line[start[n]]
+def _starts(layout):
+    """The nodes of row 0 of all lanes; those that are a row short begin with the last node of the lane before."""
+    s = np.empty(LANES, np.uint64)
+    for lane in range(LANES):
+        s[lane] = uint64(lane * layout.tiles - max(0, lane - layout.long + 1))
+    return s
+
+
+@njit(**COMPILE)
+def turn(line, lanes, layout):
+    """lanes <- line, side by side."""
+    s, first, last = _starts(layout), uint64(row_of(0, 0, layout)), uint64(layout.tiles) - N8
+    for row in range(uint64(0), last + N8, N8):
+        r = min(row, last)  # the last eight may be copied twice
+        for i in range(uint64(0), L, N8):
+            copy_in(
+                lanes, first + r * L + i, line, s[i] + r, s[i + N1] + r, s[i + N2] + r, s[i + N3] + r,
+                s[i + N4] + r, s[i + N5] + r, s[i + N6] + r, s[i + N7] + r,
+            )  # fmt: skip
+
+
+@njit(**COMPILE)
+def smooth(line, lanes, layout, weights):
+    """line <- the symmetric band `weights` of what is in the lanes."""
+    surround(lanes, weights.size - 1, layout)
+    s, first, last = _starts(layout), uint64(row_of(0, 0, layout)), uint64(layout.tiles) - N8
+    for row in range(uint64(0), last + N8, N8):
+        r = min(row, last)
+        for i in range(uint64(0), L, N8):
+            smooth_out(
+                line, s[i] + r, s[i + N1] + r, s[i + N2] + r, s[i + N3] + r, s[i + N4] + r, s[i + N5] + r, s[i + N6] + r,
+                s[i + N7] + r, lanes, first + r * L + i, weights,
+            )  # fmt: skip
 
 
 class MixedRelaxation:
@@ -56,7 +68,6 @@ class MixedRelaxation:
             tiles = -(-nodes // LANES)
             self.layout = Layout(nodes, 1, LANES, 1, tiles, LANES, nodes - LANES * (tiles - 1), MARGIN)
             self.lanes = aligned(self.layout.size)
-            self.sums = aligned((LONGEST_BAND + 4 * BLOCK) * LANES)
             self.bands: dict = {}  # interval -> weights, None where the road is relaxed as a line
 
     def __call__(self, road, interval: float) -> None:
@@ -64,10 +75,8 @@ class MixedRelaxation:
         if weights is None:
             self.line(road, interval)
             return
-        turn(road, self.lanes, self.layout, False)
-        surround(self.lanes, weights.size, self.layout)
-        smooth(self.lanes, row_of(0, 0, self.layout), self.layout.tiles, LANES, weights[0], weights[1:], self.sums)
-        turn(road, self.lanes, self.layout, True)
+        turn(road, self.lanes, self.layout)
+        smooth(road, self.lanes, self.layout, weights)
 
     def _weights(self, interval):
         if interval not in self.bands:
