@@ -54,7 +54,7 @@ def coefficients(A, B, half, omega2, law):
     return kind, table, factor, offset
 
 
-@njit(**COMPILE)
+@njit(forceinline=True, **COMPILE)
 def _cross_rows(heights, at, t, wide, rows, hold, kind, value, shape, slack):
     """The units of the first `wide` lanes of the table t cross the nodes whose heights begin at `at`, `rows` of them."""
     for i in range(wide):
@@ -92,7 +92,7 @@ def _cross_rows(heights, at, t, wide, rows, hold, kind, value, shape, slack):
             t[H3 + i], t[H4 + i] = h3, h4
 
 
-@njit(**COMPILE)
+@njit(forceinline=True, **COMPILE)
 def _copy_nodes(heights, road, start, length, count, first, out):
     """Nodes `first` and on under all lanes, at most ROWS, from the road into the table, or out of it again."""
     nodes = uint64(road.size)
@@ -125,7 +125,7 @@ def _copy_nodes(heights, road, start, length, count, first, out):
                     heights[(r - first) * L + n] = road[x]
 
 
-@njit(**COMPILE)
+@njit(forceinline=True, **COMPILE)
 def _enter(body, table, kind_of, car, count, t, others):
     """Cars take the lanes up to `count`; the last also those that are left of a vector."""
     for i in range(uint64(0), uint64(count), N8):
@@ -144,7 +144,7 @@ def _enter(body, table, kind_of, car, count, t, others):
             copy_in(t, E4 + i, table, k0, k1, k2, k3, k4, k5, k6, k7)
 
 
-@njit(**COMPILE)
+@njit(forceinline=True, **COMPILE)
 def _leave(body, car, t, i):
     """Car and lane part."""
     k = car * STATE

@@ -20,19 +20,20 @@ from .lanes import LANES
 
 # times must round alike wherever they are formed: said outright, or a caller that contracts would hand that down
 OPTIONS = {"cache": True, "error_model": "numpy", "fastmath": False}
+INLINE = OPTIONS | {"forceinline": True}  # what takes many arrays costs more to call than to do
 CAR, START, LENGTH, LEVEL = range(4)  # columns of `units`; START in [0, nodes)
 RESET = 2**30
 CLASSES = 64
 GRAIN = 2  # levels are kept by every 2**GRAIN nodes: units that share so many wait for each other, too
 
 
-@njit(**OPTIONS)
+@njit(**INLINE)
 def _due(car, ahead, place, crossed, first_due, step):
     """When `car` crosses the node numbered `ahead`: no sum drifts."""
     return first_due[car] + (crossed[car] + (ahead - place[car])) * step[car]
 
 
-@njit(**OPTIONS)
+@njit(**INLINE)
 def _goes_first(a, b, node, place, crossed, first_due, step, number):
     """Car a crosses `node` before car b; at the same time that of the lower number goes first."""
     when_a = _due(a, node, place, crossed, first_due, step)
@@ -40,7 +41,7 @@ def _goes_first(a, b, node, place, crossed, first_due, step, number):
     return when_a < when_b or (when_a == when_b and number[a] < number[b])
 
 
-@njit(**OPTIONS)
+@njit(**INLINE)
 def _count(until, order, place, crossed, first_due, step, reach):
     """reach <- the node that each car will be about to cross once all due at `until` or before are crossed."""
     furthest = place[order[0]]
@@ -53,7 +54,7 @@ def _count(until, order, place, crossed, first_due, step, reach):
     return furthest
 
 
-@njit(**OPTIONS)
+@njit(**INLINE)
 def _cut(nodes, furthest, order, place, reach, spare):
     """Let `order` begin at a node that no car crosses; False if there is none."""
     behind = furthest - nodes
@@ -101,7 +102,7 @@ def _sort(events, time, found, number):
         gap //= 2
 
 
-@njit(**OPTIONS)
+@njit(**INLINE)
 def _stay_in_order(first, end, order, place, crossed, first_due, step, number, reach):
     """No car of ranks first..end overtakes another."""
     for r in range(first + 1, end):
@@ -114,7 +115,7 @@ def _stay_in_order(first, end, order, place, crossed, first_due, step, number, r
     return True
 
 
-@njit(**OPTIONS)
+@njit(**INLINE)
 def _overtakes(first, end, order, after, place, crossed, first_due, step, number, reach, events, time):
     """Of the cars of ranks first..end; after <- those in ascending order at the end. `events`, rows
     (overtaker, overtaken, node) in the order of time, their times, replaced where they are too short, and their number."""
@@ -151,7 +152,7 @@ def _overtakes(first, end, order, after, place, crossed, first_due, step, number
     return events, time, found
 
 
-@njit(**OPTIONS)
+@njit(**INLINE)
 def _touch(touched, start, length, nodes, level):
     """Mark the nodes from `start` on, around the ring, as crossed at `level`; by 2**GRAIN of them."""
     for x in range(start >> GRAIN, ((min(start + length, nodes) - 1) >> GRAIN) + 1):
@@ -160,7 +161,7 @@ def _touch(touched, start, length, nodes, level):
         touched[x] = level
 
 
-@njit(**OPTIONS)
+@njit(**INLINE)
 def _top(touched, start, length, nodes, top):
     """The highest level that has crossed any node from `start` on, `top` at least."""
     for x in range(start >> GRAIN, ((min(start + length, nodes) - 1) >> GRAIN) + 1):
@@ -170,13 +171,13 @@ def _top(touched, start, length, nodes, top):
     return top
 
 
-@njit(**OPTIONS)
+@njit(**INLINE)
 def _add(units, total, car, start, length, level, nodes):
     units[total, CAR], units[total, START] = car, start if start < nodes else start - nodes
     units[total, LENGTH], units[total, LEVEL] = length, level
 
 
-@njit(**OPTIONS)
+@njit(**INLINE)
 def _advance(car, x, base, nodes, done, reach, own, touched, units, total):
     """Let `car` cross its nodes up to x: as more of its last unit where that is free to go on, else as a new one."""
     x = min(x, reach[car])
@@ -199,7 +200,7 @@ def _advance(car, x, base, nodes, done, reach, own, touched, units, total):
     return total
 
 
-@njit(**OPTIONS)
+@njit(**INLINE)
 def _split(events, found, first, end, order, rank, nodes, done, reach, own, touched, base, units, total):
     """Units of the cars of ranks first..end with overtakes, in time: before each, the two and those ahead of them reach
     its node."""
@@ -229,7 +230,7 @@ def _split(events, found, first, end, order, rank, nodes, done, reach, own, touc
     return units, total
 
 
-@njit(**OPTIONS)
+@njit(**INLINE)
 def _in_line(first, end, order, nodes, place, reach, base, most, units, total):
     """Units of the cars of ranks first..end, none of which overtakes: each waits for the one ahead.
 
