@@ -101,11 +101,13 @@ def _copy_nodes(heights, road, start, length, count, first, out):
     for i in range(uint64(0), uint64(count), N8):
         together = first
         lanes = min(N8, uint64(count) - i)
-        if lanes == N8 and length[i + N7] >= first + N8:
+        if not out:
+            together = min(until, (length[i] + N7) // N8 * N8)  # what is beyond a lane's last node is not looked at
+        elif lanes == N8 and length[i + N7] >= first + N8:
             together = min(until, length[i + N7])
-            for n in range(i, i + N8):
-                if start[n] + together > nodes:
-                    together = first
+        for n in range(i, i + N8):
+            if start[n] + together > nodes:
+                together = first
         for r in range(first, together, N8):
             r = min(r, together - N8)  # the last eight may be copied twice
             at = (r - first) * L + i
@@ -126,11 +128,11 @@ def _copy_nodes(heights, road, start, length, count, first, out):
 
 
 @njit(forceinline=True, **COMPILE)
-def _enter(body, table, kind_of, car, count, t, others):
+def _enter(body, table, kind_of, car, start, count, t, others):
     """Cars take the lanes up to `count`; the last also those that are left of a vector."""
     for i in range(uint64(0), uint64(count), N8):
         for n in range(max(uint64(count), i + N1), i + N8):
-            car[n] = car[n - N1]
+            car[n], start[n] = car[n - N1], start[n - N1]
         c0, c1, c2, c3 = car[i], car[i + N1], car[i + N2], car[i + N3]
         c4, c5, c6, c7 = car[i + N4], car[i + N5], car[i + N6], car[i + N7]
         at = c0 * STATE, c1 * STATE, c2 * STATE, c3 * STATE, c4 * STATE, c5 * STATE, c6 * STATE, c7 * STATE
@@ -174,7 +176,7 @@ def cross_units(road, body, table, kind_of, units, ranking, total, work, hold, k
                 i -= 1
             car[i], start[i], length[i] = units[unit, CAR], units[unit, START], units[unit, LENGTH]
             count += 1
-        _enter(body, table, kind_of, car, count, t, len(hold) > 3 or len(kind) != CONSTANT)
+        _enter(body, table, kind_of, car, start, count, t, len(hold) > 3 or len(kind) != CONSTANT)
         live = count
         r = uint64(0)
         for piece in range(0, length[0], ROWS):
