@@ -29,7 +29,7 @@ def mixed_samples(scene, times, left=None, *, nodes, hold, relax_every):
     _, value, shape = law = scene.road.softness.kernel
     kind, table, factor, offset = coefficients(A, B, 0.5 * mass * scene.headway / speed, frequency**2, law)
     road = aligned(nodes)
-    road[:] = scene.road.profile.sample(length, nodes)
+    road += scene.road.profile.sample(length, nodes)
     # neighbours on the road are neighbours in memory, at first at least
     position = fleet.positions(length)
     number = np.argsort(position, kind="stable")
@@ -101,9 +101,9 @@ def mixed_samples(scene, times, left=None, *, nodes, hold, relax_every):
             relax(road, span if i < parts else span / 2)
             if sink * until // 1 != sink * (until - span) // 1:
                 sunk = level_of(road)
-                road -= sunk
+                for heights in (road, body[:, 3 : 3 + hold]):
+                    heights -= sunk
                 body[:, 1:3] -= (factor * (1.0 - newest) * sunk)[:, None]  # z* is Z less newest times a contact height
-                body[:, 3 : 3 + hold] -= sunk
                 level += sunk
             if pace.due():
                 yield Breath(float(until), leave, lambda: road)

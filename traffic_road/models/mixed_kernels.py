@@ -4,7 +4,7 @@ Up to LANES units that touch no common node are copied into a table whose rows a
 that the loop over a row is the same arithmetic on contiguous numbers; afterwards the nodes are copied back. ROWS at a time:
 the table stays in the first-level cache. Units stand in order of length, the longest first: one that has ended leaves its
 state where it is and the row shortens, by whole vectors. Cars go by the recursion of `even_kernels`, each with its own
-numbers; Indices of the inner loops are unsigned, as there.
+numbers. Indices of the inner loops are unsigned, as there.
 """
 
 from __future__ import annotations
@@ -15,7 +15,6 @@ from numba import uint64
 from ..compiled import njit
 from ..laws import BOUNDED, CONSTANT
 from ..schemes.passage import contact_height
-from .even_kernels import recursion, scaled
 from .even_layout import COMPILE, aligned
 from .lanes import LANES, copy_in, copy_out
 from .mixed_order import CAR, LENGTH, LEVEL, START, plan
@@ -31,30 +30,45 @@ RECORD = 8
 LOST, F, F1, H0, H1, H2, H3, H4 = (np.uint64(n * LANES) for n in range(RECORD))
 S, C0, T, D, E0, E1, E2, E3 = (np.uint64(n * LANES) for n in range(RECORD, 2 * RECORD))
 E4, E5, B, HALF, OMEGA2 = (np.uint64(n * LANES) for n in range(2 * RECORD, 2 * RECORD + 5))
-STATE, NUMBERS, OTHERS = np.uint64(RECORD), np.uint64(2 * RECORD), np.uint64(RECORD)
+ONE = np.uint64(RECORD)
 
 
 def coefficients(A, B, half, omega2, law):
-    """kind of law to be used, numbers (kinds, 16) for `cross_units`, factor and offset (kinds,): f = factor z* + offset.
+    """kind of law to be used, numbers (kinds, 8 or 16) for `cross_units`, factor and offset (kinds,): f = factor z* + offset.
 
-    A, B as of the propagator; half = m headway/(2 u); law: (kind, value, shape).
+    A, B as of the propagator; half = m headway/(2 u); law: (kind, value, shape). As `recursion` and `scaled`, for all kinds.
     """
     kind, value, _ = law
     if kind == CONSTANT and np.any(half * value * omega2 < FAINT):
         kind = BOUNDED  # of shape 0: the same law, its passages decided one by one
-    table, factor, offset = np.zeros((len(A), 2 * RECORD)), np.ones(len(A)), np.zeros(len(A))
-    for n in range(len(A)):
-        if kind == CONSTANT:
-            c, s, factor[n], offset[n] = scaled(A[n], B[n], half[n] * value, omega2[n])
-        else:
-            trace, determinant, e = recursion(A[n], B[n])
-            c, s = [0.0, trace, determinant, *e], 1.0
-        table[n, : len(c) + 1] = s, *c
-        table[n, RECORD + 2 : RECORD + 5] = B[n, 0, 0], half[n], omega2[n]
-    return kind, table, factor, offset
+    newest, hold = B[:, 0, 0], B.shape[2] - 1
+    s, factor, offset = np.ones((3, len(A)))
+    offset[:] = 0.0
+    if kind == CONSTANT:
+        s = 1.0 / (1.0 + half * value * omega2 * (1.0 - newest))
+        factor, offset = s * half * value * omega2, -s * half * value
+    trace, determinant = A[:, 0, 0] + A[:, 1, 1], A[:, 0, 0] * A[:, 1, 1] - A[:, 0, 1] * A[:, 1, 0]
+    e = np.zeros((len(A), hold + 1))
+    e[:, :-1] = B[:, 0, 1:]
+    e += A[:, 0, 1, None] * B[:, 1] - A[:, 1, 1, None] * B[:, 0]
+    e[:, 0] += trace * newest
+    e[:, 1] -= determinant * newest
+    numbers = np.column_stack(
+        (
+            s,
+            offset * (1.0 - trace + determinant),
+            trace,
+            -determinant,
+            factor[:, None] * e,
+            np.zeros((len(A), 5 - hold)),
+        )
+    )
+    others = np.column_stack((newest, half, omega2, np.zeros((len(A), 3))))
+    table = np.column_stack((numbers, others))
+    return kind, table[:, :RECORD] if kind == CONSTANT and hold < 5 else table, factor, offset
 
 
-@njit(forceinline=True, **COMPILE)
+@njit(**COMPILE)
 def _cross_rows(heights, at, t, wide, rows, hold, kind, value, shape, slack):
     """The units of the first `wide` lanes of the table t cross the nodes whose heights begin at `at`, `rows` of them."""
     for i in range(wide):
@@ -92,7 +106,7 @@ def _cross_rows(heights, at, t, wide, rows, hold, kind, value, shape, slack):
             t[H3 + i], t[H4 + i] = h3, h4
 
 
-@njit(forceinline=True, **COMPILE)
+@njit(**COMPILE)
 def _copy_nodes(heights, road, start, length, count, first, out):
     """Nodes `first` and on under all lanes, at most ROWS, from the road into the table, or out of it again."""
     nodes = uint64(road.size)
@@ -127,29 +141,30 @@ def _copy_nodes(heights, road, start, length, count, first, out):
                     heights[(r - first) * L + n] = road[x]
 
 
-@njit(forceinline=True, **COMPILE)
+@njit(**COMPILE)
 def _enter(body, table, kind_of, car, start, count, t, others):
     """Cars take the lanes up to `count`; the last also those that are left of a vector."""
+    numbers = N8 + N8 if others else N8
     for i in range(uint64(0), uint64(count), N8):
         for n in range(max(uint64(count), i + N1), i + N8):
             car[n], start[n] = car[n - N1], start[n - N1]
         c0, c1, c2, c3 = car[i], car[i + N1], car[i + N2], car[i + N3]
         c4, c5, c6, c7 = car[i + N4], car[i + N5], car[i + N6], car[i + N7]
-        at = c0 * STATE, c1 * STATE, c2 * STATE, c3 * STATE, c4 * STATE, c5 * STATE, c6 * STATE, c7 * STATE
+        at = c0 * ONE, c1 * ONE, c2 * ONE, c3 * ONE, c4 * ONE, c5 * ONE, c6 * ONE, c7 * ONE
         copy_in(t, LOST + i, body, *at)
-        k0, k1, k2, k3 = kind_of[c0] * NUMBERS, kind_of[c1] * NUMBERS, kind_of[c2] * NUMBERS, kind_of[c3] * NUMBERS
-        k4, k5, k6, k7 = kind_of[c4] * NUMBERS, kind_of[c5] * NUMBERS, kind_of[c6] * NUMBERS, kind_of[c7] * NUMBERS
+        k0, k1, k2, k3 = kind_of[c0] * numbers, kind_of[c1] * numbers, kind_of[c2] * numbers, kind_of[c3] * numbers
+        k4, k5, k6, k7 = kind_of[c4] * numbers, kind_of[c5] * numbers, kind_of[c6] * numbers, kind_of[c7] * numbers
         copy_in(t, S + i, table, k0, k1, k2, k3, k4, k5, k6, k7)
         if others:
-            k0, k1, k2, k3 = k0 + OTHERS, k1 + OTHERS, k2 + OTHERS, k3 + OTHERS
-            k4, k5, k6, k7 = k4 + OTHERS, k5 + OTHERS, k6 + OTHERS, k7 + OTHERS
+            k0, k1, k2, k3 = k0 + ONE, k1 + ONE, k2 + ONE, k3 + ONE
+            k4, k5, k6, k7 = k4 + ONE, k5 + ONE, k6 + ONE, k7 + ONE
             copy_in(t, E4 + i, table, k0, k1, k2, k3, k4, k5, k6, k7)
 
 
 @njit(forceinline=True, **COMPILE)
 def _leave(body, car, t, i):
     """Car and lane part."""
-    k = car * STATE
+    k = car * ONE
     body[k], body[k + N1], body[k + N2], body[k + N3] = t[LOST + i], t[F + i], t[F1 + i], t[H0 + i]
     body[k + N4], body[k + N5], body[k + N6], body[k + N7] = t[H1 + i], t[H2 + i], t[H3 + i], t[H4 + i]
 
@@ -211,8 +226,8 @@ def workspace():
 def cross_until(begin, end, stretch, road, cars, table, plans, work, hold, kind, law, lift_off):
     """All passages due after `begin` and at `end` or before, in stretches of time of at most `stretch`.
 
-    cars: order, place, crossed, first_due, step, number of `plan`, kind_of, and body of `cross_units`. plans: spare, touched, top,
-    units, ranking of `plan`. Returns the passages done.
+    cars: order, place, crossed, first_due, step, number of `plan`, kind_of, and body of `cross_units`. plans: spare,
+    touched, top, units, ranking of `plan`. Returns the passages done.
     """
     order, place, crossed, first_due, step, number, kind_of, body = cars
     spare, touched, top, units, ranking = plans

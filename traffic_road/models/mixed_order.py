@@ -27,13 +27,13 @@ CLASSES = 64
 GRAIN = 2  # levels are kept by every 2**GRAIN nodes: units that share so many wait for each other, too
 
 
-@njit(**INLINE)
+@njit(**OPTIONS)
 def _due(car, ahead, place, crossed, first_due, step):
     """When `car` crosses the node numbered `ahead`: no sum drifts."""
     return first_due[car] + (crossed[car] + (ahead - place[car])) * step[car]
 
 
-@njit(**INLINE)
+@njit(**OPTIONS)
 def _goes_first(a, b, node, place, crossed, first_due, step, number):
     """Car a crosses `node` before car b; at the same time that of the lower number goes first."""
     when_a = _due(a, node, place, crossed, first_due, step)
@@ -41,7 +41,7 @@ def _goes_first(a, b, node, place, crossed, first_due, step, number):
     return when_a < when_b or (when_a == when_b and number[a] < number[b])
 
 
-@njit(**INLINE)
+@njit(**OPTIONS)
 def _count(until, order, place, crossed, first_due, step, reach):
     """reach <- the node that each car will be about to cross once all due at `until` or before are crossed."""
     furthest = place[order[0]]
@@ -54,7 +54,7 @@ def _count(until, order, place, crossed, first_due, step, reach):
     return furthest
 
 
-@njit(**INLINE)
+@njit(**OPTIONS)
 def _cut(nodes, furthest, order, place, reach, spare):
     """Let `order` begin at a node that no car crosses; False if there is none."""
     behind = furthest - nodes
@@ -66,15 +66,17 @@ def _cut(nodes, furthest, order, place, reach, spare):
     else:
         return False
     if r > 0:
-        spare[:] = order
+        for s in range(order.size):
+            spare[s] = order[s]
         for s in range(order.size):
             order[s] = spare[s + r - order.size if s + r >= order.size else s + r]
         for s in range(r):
             place[spare[s]] += nodes
             reach[spare[s]] += nodes
     if place[order[0]] >= nodes:
-        place -= nodes
-        reach -= nodes
+        for car in range(order.size):
+            place[car] -= nodes
+            reach[car] -= nodes
     return True
 
 
@@ -82,7 +84,9 @@ def _cut(nodes, furthest, order, place, reach, spare):
 def _longer(rows, wanted):
     """Room for as many rows as wanted, and for as many more."""
     more = np.empty((2 * wanted, rows.shape[1]), np.int64)
-    more[: rows.shape[0]] = rows
+    for n in range(rows.shape[0]):  # not by slices: they take seconds to compile
+        for q in range(rows.shape[1]):
+            more[n, q] = rows[n, q]
     return more
 
 
@@ -94,7 +98,9 @@ def _sort(events, time, found, number):
         for n in range(gap, found):
             i, j, x, when = events[n, 0], events[n, 1], events[n, 2], time[n]
             m = n
-            while m >= gap and (time[m - gap] > when or (time[m - gap] == when and number[events[m - gap, 0]] > number[i])):
+            while m >= gap and (
+                time[m - gap] > when or (time[m - gap] == when and number[events[m - gap, 0]] > number[i])
+            ):
                 events[m, 0], events[m, 1], events[m, 2] = events[m - gap, 0], events[m - gap, 1], events[m - gap, 2]
                 time[m] = time[m - gap]
                 m -= gap
@@ -127,7 +133,8 @@ def _overtakes(first, end, order, after, place, crossed, first_due, step, number
         while s > first:
             other = after[s - 1]
             if reach[other] < reach[car] or (
-                reach[other] == reach[car] and not _goes_first(other, car, reach[car], place, crossed, first_due, step, number)
+                reach[other] == reach[car]
+                and not _goes_first(other, car, reach[car], place, crossed, first_due, step, number)
             ):
                 break
             if found == time.size:
@@ -152,7 +159,7 @@ def _overtakes(first, end, order, after, place, crossed, first_due, step, number
     return events, time, found
 
 
-@njit(**INLINE)
+@njit(**OPTIONS)
 def _touch(touched, start, length, nodes, level):
     """Mark the nodes from `start` on, around the ring, as crossed at `level`; by 2**GRAIN of them."""
     for x in range(start >> GRAIN, ((min(start + length, nodes) - 1) >> GRAIN) + 1):
@@ -161,7 +168,7 @@ def _touch(touched, start, length, nodes, level):
         touched[x] = level
 
 
-@njit(**INLINE)
+@njit(**OPTIONS)
 def _top(touched, start, length, nodes, top):
     """The highest level that has crossed any node from `start` on, `top` at least."""
     for x in range(start >> GRAIN, ((min(start + length, nodes) - 1) >> GRAIN) + 1):
@@ -171,7 +178,7 @@ def _top(touched, start, length, nodes, top):
     return top
 
 
-@njit(**INLINE)
+@njit(**OPTIONS)
 def _add(units, total, car, start, length, level, nodes):
     units[total, CAR], units[total, START] = car, start if start < nodes else start - nodes
     units[total, LENGTH], units[total, LEVEL] = length, level
@@ -299,7 +306,8 @@ def plan(until, nodes, order, place, crossed, first_due, step, number, spare, to
     if not _cut(nodes, furthest, order, place, reach, after):
         return units, ranking, -1
     if top[0] > RESET:
-        touched[:] = 0
+        for x in range(touched.size):
+            touched[x] = 0
         top[0] = 0
     base = top[0]
     events, time = np.empty((64, 3), np.int64), np.empty(64)
