@@ -7,14 +7,16 @@ import numpy as np
 from ..schemes import oscillator
 from . import Breath, Pace, Sample
 from .cars_state import force, kinds, level_of, node_behind, sink_rate, start
-from .line_relaxation import LineRelaxation
-from .mixed_kernels import LANES, coefficients, cross_until, workspace
+from .even_layout import aligned
+from .lanes import LANES
+from .mixed_kernels import RECORD, coefficients, cross_until, workspace
 from .mixed_order import LENGTH, LEVEL, plan
+from .mixed_relaxation import MixedRelaxation
 
 AT_A_TIME = 1_000_000  # passages of a run without relaxation between two moments at which it may be left
 STRETCHES = (8, 4, 2, 1, 1 / 2, 1 / 4, 1 / 8)  # mean headway times that units may last
 # what work costs, in ns: a row of units by its width, a unit, a unit more because of an overtake
-ROW, LANE, UNIT, OVERTAKE = 5.0, 0.35, 50.0, 200.0
+ROW, LANE, UNIT, OVERTAKE = 2.0, 0.65, 35.0, 200.0
 
 
 def mixed_samples(scene, times, left=None, *, nodes, hold, relax_every):
@@ -24,19 +26,29 @@ def mixed_samples(scene, times, left=None, *, nodes, hold, relax_every):
     distinct, kind_of = kinds(fleet)
     speed, frequency, damping, mass = distinct.T
     A, B = oscillator.propagator(dx / speed, frequency, damping, hold)
-    kind, value, shape = scene.road.softness.kernel
-    table = coefficients(A, B, 0.5 * mass * scene.headway / speed, frequency**2, value)
-    road = scene.road.profile.sample(length, nodes).copy()
+    _, value, shape = law = scene.road.softness.kernel
+    kind, table, factor, offset = coefficients(A, B, 0.5 * mass * scene.headway / speed, frequency**2, law)
+    road = aligned(nodes)
+    road += scene.road.profile.sample(length, nodes)
+    # neighbours on the road are neighbours in memory, at first at least
     position = fleet.positions(length)
+    number = np.argsort(position, kind="stable")
+    back = np.argsort(number)
+    position, kind_of = position[number], kind_of[number]
+    newest, factor, offset = B[kind_of, 0, 0], factor[kind_of], offset[kind_of]
     behind = node_behind(position, dx)
     Z, P, past = start(scene, road, behind % nodes, kind_of, distinct, hold)
-    body = np.column_stack((Z, P, past))
+    free = A[kind_of, 0, 0] * Z + A[kind_of, 0, 1] * P + np.einsum("ij,ij->i", B[kind_of, 0, 1:], past)
+    flat = aligned(RECORD * fleet.count)
+    body = flat.reshape(fleet.count, RECORD)  # passages without contact, f, f_-1, contact heights
+    body[:, 1], body[:, 2] = factor * free + offset, factor * (Z - newest * past[:, 0]) + offset
+    body[:, 3 : 3 + hold] = past
     place = behind + 1
     crossed = np.zeros(fleet.count, dtype=np.int64)
     first_due = np.maximum((place * dx - position) / speed[kind_of], 0.0)
     step = (dx / speed)[kind_of]
-    order = np.lexsort((-np.arange(fleet.count), -first_due, place))
-    cars = (order, place, crossed, first_due, step, kind_of, body)
+    order = np.lexsort((-number, -first_due, place))
+    cars = (order, place, crossed, first_due, step, number, kind_of.astype(np.uint64), flat)
     plans = (
         np.empty((5, fleet.count), dtype=np.int64), np.zeros(nodes, dtype=np.int32), np.zeros(1, dtype=np.int64),
         np.empty((2 * fleet.count, 4), dtype=np.int64), np.empty(2 * fleet.count, dtype=np.int64),
@@ -44,27 +56,29 @@ def mixed_samples(scene, times, left=None, *, nodes, hold, relax_every):
     work = workspace()
     # a crossing on the very edge of an interval belongs to it, whatever its rounding
     slack = 1e-9 * step.min()
-    relax = LineRelaxation(scene.road.diffusivity, length)
+    relax = MixedRelaxation(scene.road.diffusivity, length, nodes)
     stretch = _stretch(scene.headway_time, nodes, cars, plans)  # of the start: the same wherever a run goes on from
     # without relaxation an interval is only what is done at a time
-    interval = scene.headway_time * (max(1, AT_A_TIME // nodes) if relax.still else relax_every)
+    interval = scene.headway_time * (max(1, AT_A_TIME // nodes) if relax.line.still else relax_every)
 
     arrays = {"road": road, "body": body, "order": order, "place": place, "crossed": crossed}
 
     def sample(time):
-        heights, contact = body[:, 0], body[:, 2]
+        contact = body[:, 3].copy()
+        heights = (body[:, 2] - offset) / factor + newest * contact
         pressed = force(scene, contact, heights, frequency[kind_of], mass[kind_of])
         where = (place - 1) % nodes * dx
-        return Sample(float(time), road + level, heights + level, pressed, where, updates, airborne)
+        cars_now = (values[back] for values in (heights + level, pressed, where))
+        return Sample(float(time), road + level, *cars_now, updates, int(body[:, 0].sum()))
 
     def leave():
-        counts = {"taken": taken, "part": i, "updates": updates, "airborne": airborne, "level": level}
+        counts = {"taken": taken, "part": i, "updates": updates, "level": level}
         return counts | {name: values.copy() for name, values in arrays.items()}
 
-    taken = i = updates = airborne = 0  # i: parts of the stretch between two samples
+    taken = i = updates = 0  # i: parts of the stretch between two samples
     level = 0.0  # what has been taken off all heights
     if left is not None:
-        taken, i, updates, airborne, level = (left[k] for k in ("taken", "part", "updates", "airborne", "level"))
+        taken, i, updates, level = (left[k] for k in ("taken", "part", "updates", "level"))
         for name, values in arrays.items():
             values[:] = left[name]
     else:
@@ -80,17 +94,16 @@ def mixed_samples(scene, times, left=None, *, nodes, hold, relax_every):
         while i < parts:
             i += 1
             until = begin + i * span if i < parts else end
-            done, lost = cross_until(
-                begin + (i - 1) * span + slack, until + slack, stretch, road, cars, table, plans, work, (0,) * hold,
+            updates += cross_until(
+                begin + (i - 1) * span + slack, until + slack, stretch, road, cars, table.reshape(-1), plans, work, (0,) * hold,
                 (0,) * kind, (value, shape), scene.lift_off,
             )  # fmt: skip
-            updates += done
-            airborne += lost
             relax(road, span if i < parts else span / 2)
             if sink * until // 1 != sink * (until - span) // 1:
                 sunk = level_of(road)
-                for heights in (road, body[:, 0], body[:, 2:]):  # P does not know the level
+                for heights in (road, body[:, 3 : 3 + hold]):
                     heights -= sunk
+                body[:, 1:3] -= (factor * (1.0 - newest) * sunk)[:, None]  # z* is Z less newest times a contact height
                 level += sunk
             if pace.due():
                 yield Breath(float(until), leave, lambda: road)
@@ -100,11 +113,11 @@ def mixed_samples(scene, times, left=None, *, nodes, hold, relax_every):
 
 def _stretch(headway_time, nodes, cars, plans) -> float:
     """How long units last: longer ones cost less a node, until they wait for each other. By a trial of the first."""
-    order, place, crossed, first_due, step, *_ = cars
+    order, place, crossed, first_due, step, number, *_ = cars
     best, stretch = np.inf, STRETCHES[-1] * headway_time
     for headways in STRETCHES:
         trial = order.copy(), place.copy(), crossed.copy()
-        units, ranking, total = plan(headways * headway_time, nodes, *trial, first_due, step, *plans)
+        units, ranking, total = plan(headways * headway_time, nodes, *trial, first_due, step, number, *plans)
         if total < 1:
             continue
         units = units[ranking[:total]]

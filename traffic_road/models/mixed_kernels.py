@@ -1,9 +1,10 @@
 """Compiled loop of any fleet of cars, on plain arrays: units of `mixed_order` side by side.
 
-Up to LANES units that touch no common node are copied into tables whose rows are nodes and whose columns are units, so
-that the loop over a row is the same arithmetic on contiguous numbers; afterwards the nodes are copied back. Units stand in
-order of length, the longest first: one that has ended leaves its state where it is and the row shortens, by whole vectors.
-Indices of the inner loops are unsigned, as in `even_kernels`.
+Up to LANES units that touch no common node are copied into a table whose rows are nodes and whose columns are units, so
+that the loop over a row is the same arithmetic on contiguous numbers; afterwards the nodes are copied back. ROWS at a time:
+the table stays in the first-level cache. Units stand in order of length, the longest first: one that has ended leaves its
+state where it is and the row shortens, by whole vectors. Cars go by the recursion of `even_kernels`, each with its own
+numbers. Indices of the inner loops are unsigned, as there.
 """
 
 from __future__ import annotations
@@ -12,157 +13,172 @@ import numpy as np
 from numba import uint64
 
 from ..compiled import njit
-from ..laws import CONSTANT
+from ..laws import BOUNDED, CONSTANT
 from ..schemes.passage import contact_height
 from .even_layout import COMPILE, aligned
+from .lanes import LANES, copy_in, copy_out
 from .mixed_order import CAR, LENGTH, LEVEL, START, plan
 
-LANES = 32
 VECTOR = 8
+ROWS = 64
+FAINT = 1e-9  # softness of a passage below which a force is lost in the rounding of the road, and no count of it kept
 N1, N2, N3, N4, N5, N6, N7, N8 = (np.uint64(n) for n in range(1, 9))
 L = np.uint64(LANES)
-# rows of the lanes' table: state, contact heights (newest first), coefficients; those of the hold stand at the end
-Z, P, LOST, H1, H2, H3, H4, H5 = (np.uint64(n * LANES) for n in range(8))
-FIRST = 8  # coefficient
-A00, A01, A10, A11, B0, C0, PUSH, PULL, SCALE, HALF, OMEGA2 = (np.uint64(n * LANES) for n in range(FIRST, FIRST + 11))
-B1, C1, B2, C2, B3, C3, B4, C4, B5, C5 = (np.uint64(n * LANES) for n in range(FIRST + 11, FIRST + 21))
+# rows of the lanes' table, eight of a record each: a car's passages without contact, f, f_-1, contact heights (newest
+# first); then numbers of its kind, of which the linear and cubic holds with constant softness need but the first record
+RECORD = 8
+LOST, F, F1, H0, H1, H2, H3, H4 = (np.uint64(n * LANES) for n in range(RECORD))
+S, C0, T, D, E0, E1, E2, E3 = (np.uint64(n * LANES) for n in range(RECORD, 2 * RECORD))
+E4, E5, B, HALF, OMEGA2 = (np.uint64(n * LANES) for n in range(2 * RECORD, 2 * RECORD + 5))
+ONE = np.uint64(RECORD)
 
 
-def coefficients(A, B, half, omega2, value):
-    """(kinds, 11 + 2 hold) for `cross_units`: A, B as of the propagator; half = m headway/(2 u); value of the law."""
-    push = half * value
-    scale = 1.0 / (1.0 + push * omega2 * (1.0 - B[:, 0, 0]))
-    columns = [A[:, 0, 0], A[:, 0, 1], A[:, 1, 0], A[:, 1, 1], B[:, 0, 0], B[:, 1, 0]]
-    columns += [push, push * omega2, scale, half, omega2]
-    columns += [B[:, row, q] for q in range(1, B.shape[2]) for row in (0, 1)]
-    return np.ascontiguousarray(np.stack(columns, axis=1))
+def coefficients(A, B, half, omega2, law):
+    """kind of law to be used, numbers (kinds, 8 or 16) for `cross_units`, factor and offset (kinds,): f = factor z* + offset.
+
+    A, B as of the propagator; half = m headway/(2 u); law: (kind, value, shape). As `recursion` and `scaled`, for all kinds.
+    """
+    kind, value, _ = law
+    if kind == CONSTANT and np.any(half * value * omega2 < FAINT):
+        kind = BOUNDED  # of shape 0: the same law, its passages decided one by one
+    newest, hold = B[:, 0, 0], B.shape[2] - 1
+    s, factor, offset = np.ones((3, len(A)))
+    offset[:] = 0.0
+    if kind == CONSTANT:
+        s = 1.0 / (1.0 + half * value * omega2 * (1.0 - newest))
+        factor, offset = s * half * value * omega2, -s * half * value
+    trace, determinant = A[:, 0, 0] + A[:, 1, 1], A[:, 0, 0] * A[:, 1, 1] - A[:, 0, 1] * A[:, 1, 0]
+    e = np.zeros((len(A), hold + 1))
+    e[:, :-1] = B[:, 0, 1:]
+    e += A[:, 0, 1, None] * B[:, 1] - A[:, 1, 1, None] * B[:, 0]
+    e[:, 0] += trace * newest
+    e[:, 1] -= determinant * newest
+    numbers = np.column_stack(
+        (
+            s,
+            offset * (1.0 - trace + determinant),
+            trace,
+            -determinant,
+            factor[:, None] * e,
+            np.zeros((len(A), 5 - hold)),
+        )
+    )
+    others = np.column_stack((newest, half, omega2, np.zeros((len(A), 3))))
+    table = np.column_stack((numbers, others))
+    return kind, table[:, :RECORD] if kind == CONSTANT and hold < 5 else table, factor, offset
 
 
 @njit(**COMPILE)
 def _cross_rows(heights, at, t, wide, rows, hold, kind, value, shape, slack):
     """The units of the first `wide` lanes of the table t cross the nodes whose heights begin at `at`, `rows` of them."""
     for i in range(wide):
-        z, p, lost, h1, h2, h3, h4, h5 = t[Z + i], t[P + i], t[LOST + i], t[H1 + i], 0.0, 0.0, 0.0, 0.0
-        a00, a01, a10, a11, b0, c0 = t[A00 + i], t[A01 + i], t[A10 + i], t[A11 + i], t[B0 + i], t[C0 + i]
-        b1, c1, b2, c2, b3, c3, b4, c4, b5, c5 = t[B1 + i], t[C1 + i], 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+        lost, f, f1, h0, h1, h2, h3, h4 = t[LOST + i], t[F + i], t[F1 + i], t[H0 + i], 0.0, 0.0, 0.0, 0.0
+        c0, trace, determinant, e0, e1 = t[C0 + i], t[T + i], t[D + i], t[E0 + i], t[E1 + i]
+        s, b, half, omega2 = t[S + i], t[B + i], t[HALF + i], t[OMEGA2 + i]
         if len(hold) > 1:
-            h2, h3 = t[H2 + i], t[H3 + i]
-            b2, c2, b3, c3 = t[B2 + i], t[C2 + i], t[B3 + i], t[C3 + i]
+            h1, h2, e2, e3 = t[H1 + i], t[H2 + i], t[E2 + i], t[E3 + i]
         if len(hold) > 3:
-            h4, h5 = t[H4 + i], t[H5 + i]
-            b4, c4, b5, c5 = t[B4 + i], t[C4 + i], t[B5 + i], t[C5 + i]
-        push, pull, scale, half, omega2 = t[PUSH + i], t[PULL + i], t[SCALE + i], t[HALF + i], t[OMEGA2 + i]
+            h3, h4, e4, e5 = t[H3 + i], t[H4 + i], t[E4 + i], t[E5 + i]
         for r in range(uint64(len(rows))):
-            # the car arrives with Z*, P* (everything but the newest contact height), meets the node, takes h along
-            z_star = a00 * z + a01 * p + b1 * h1
-            p_star = a10 * z + a11 * p + c1 * h1
-            if len(hold) > 1:
-                z_star += b2 * h2 + b3 * h3
-                p_star += c2 * h2 + c3 * h3
-            if len(hold) > 3:
-                z_star += b4 * h4 + b5 * h5
-                p_star += c4 * h4 + c5 * h5
             before = heights[at + r * L + i]
             if len(kind) == CONSTANT:
-                pressed = (before - push + pull * z_star) * scale
+                pressed = s * before + f
                 ceiling = before + slack
-                contact = ceiling if ceiling < pressed else pressed  # in this order a NaN is kept
+                h = ceiling if ceiling < pressed else pressed  # in this order a NaN is kept
                 lost += 1.0 if ceiling < pressed else 0.0
             else:
-                contact = contact_height(before, z_star, b0, half, omega2, len(kind), value, shape, slack == 0.0)
-                unloaded = 1.0 + omega2 * (before - z_star - b0 * before) <= 0.0
+                h = contact_height(before, f, b, half, omega2, len(kind), value, shape, slack == 0.0)
+                unloaded = 1.0 + omega2 * (before - f - b * before) <= 0.0
                 lost += 1.0 if slack == 0.0 and unloaded else 0.0
-            heights[at + r * L + i] = 2.0 * contact - before
-            z = z_star + b0 * contact
-            p = p_star + c0 * contact
-            h5, h4, h3, h2, h1 = h4, h3, h2, h1, contact
-        t[Z + i], t[P + i], t[LOST + i], t[H1 + i] = z, p, lost, h1
+            heights[at + r * L + i] = 2.0 * h - before
+            # the newest height last: the others are known while it is awaited
+            g = e0 * h + (trace * f + (determinant * f1 + (e1 * h0 + c0)))
+            if len(hold) > 1:
+                g += e2 * h1 + e3 * h2
+            if len(hold) > 3:
+                g += e4 * h3 + e5 * h4
+            f, f1 = g, f
+            h4, h3, h2, h1, h0 = h3, h2, h1, h0, h
+        t[LOST + i], t[F + i], t[F1 + i], t[H0 + i] = lost, f, f1, h0
         if len(hold) > 1:
-            t[H2 + i], t[H3 + i] = h2, h3
+            t[H1 + i], t[H2 + i] = h1, h2
         if len(hold) > 3:
-            t[H4 + i], t[H5 + i] = h4, h5
+            t[H3 + i], t[H4 + i] = h3, h4
 
 
 @njit(**COMPILE)
-def _copy_in(heights, i, road, s0, s1, s2, s3, s4, s5, s6, s7, rows):
-    """Eight lanes from i on, side by side: a quarter faster than one after the other."""
-    for r in range(rows):
-        a0, a1, a2, a3 = road[s0 + r], road[s1 + r], road[s2 + r], road[s3 + r]
-        a4, a5, a6, a7 = road[s4 + r], road[s5 + r], road[s6 + r], road[s7 + r]
-        at = r * L + i
-        heights[at], heights[at + N1], heights[at + N2], heights[at + N3] = a0, a1, a2, a3
-        heights[at + N4], heights[at + N5], heights[at + N6], heights[at + N7] = a4, a5, a6, a7
-
-
-@njit(**COMPILE)
-def _copy_out(heights, i, road, s0, s1, s2, s3, s4, s5, s6, s7, rows):
-    for r in range(rows):
-        at = r * L + i
-        a0, a1, a2, a3 = heights[at], heights[at + N1], heights[at + N2], heights[at + N3]
-        a4, a5, a6, a7 = heights[at + N4], heights[at + N5], heights[at + N6], heights[at + N7]
-        road[s0 + r], road[s1 + r], road[s2 + r], road[s3 + r] = a0, a1, a2, a3
-        road[s4 + r], road[s5 + r], road[s6 + r], road[s7 + r] = a4, a5, a6, a7
-
-
-@njit(**COMPILE)
-def _copy_nodes(heights, road, start, length, count, out):
-    """The nodes under all lanes from the road into the table, or out of it again."""
+def _copy_nodes(heights, road, start, length, count, first, out):
+    """Nodes `first` and on under all lanes, at most ROWS, from the road into the table, or out of it again."""
     nodes = uint64(road.size)
+    until = uint64(first + ROWS)
+    first = uint64(first)
     for i in range(uint64(0), uint64(count), N8):
-        together = uint64(0)
+        together = first
         lanes = min(N8, uint64(count) - i)
-        if lanes == N8:
-            together = length[i + N7]
-            for n in range(i, i + N8):
-                together = min(together, nodes - start[n])
-            s0, s1, s2, s3 = start[i], start[i + N1], start[i + N2], start[i + N3]
-            s4, s5, s6, s7 = start[i + N4], start[i + N5], start[i + N6], start[i + N7]
+        if not out:
+            together = min(until, (length[i] + N7) // N8 * N8)  # what is beyond a lane's last node is not looked at
+        elif lanes == N8 and length[i + N7] >= first + N8:
+            together = min(until, length[i + N7])
+        for n in range(i, i + N8):
+            if start[n] + together > nodes:
+                together = first
+        for r in range(first, together, N8):
+            r = min(r, together - N8)  # the last eight may be copied twice
+            at = (r - first) * L + i
+            s0, s1, s2, s3 = start[i] + r, start[i + N1] + r, start[i + N2] + r, start[i + N3] + r
+            s4, s5, s6, s7 = start[i + N4] + r, start[i + N5] + r, start[i + N6] + r, start[i + N7] + r
             if out:
-                _copy_out(heights, i, road, s0, s1, s2, s3, s4, s5, s6, s7, together)
+                copy_out(heights, at, road, s0, s1, s2, s3, s4, s5, s6, s7)
             else:
-                _copy_in(heights, i, road, s0, s1, s2, s3, s4, s5, s6, s7, together)
+                copy_in(heights, at, road, s0, s1, s2, s3, s4, s5, s6, s7)
         for n in range(i, i + lanes):
-            for r in range(together, length[n]):
+            for r in range(together, min(length[n], until)):
                 x = start[n] + r
                 x = x - nodes if x >= nodes else x
                 if out:
-                    road[x] = heights[r * L + n]
+                    road[x] = heights[(r - first) * L + n]
                 else:
-                    heights[r * L + n] = road[x]
+                    heights[(r - first) * L + n] = road[x]
 
 
 @njit(**COMPILE)
-def _enter(body, car, table, kind, of_kind, t, i):
-    """A car takes the lane i."""
-    if of_kind[i] != kind:
-        of_kind[i] = kind
-        for q in range(uint64(table.shape[1])):
-            t[A00 + q * L + i] = table[kind, q]
-    t[Z + i], t[P + i], t[LOST + i] = body[car, 0], body[car, 1], 0.0
-    for q in range(uint64(body.shape[1] - 2)):
-        t[H1 + q * L + i] = body[car, 2 + q]
+def _enter(body, table, kind_of, car, start, count, t, others):
+    """Cars take the lanes up to `count`; the last also those that are left of a vector."""
+    numbers = N8 + N8 if others else N8
+    for i in range(uint64(0), uint64(count), N8):
+        for n in range(max(uint64(count), i + N1), i + N8):
+            car[n], start[n] = car[n - N1], start[n - N1]
+        c0, c1, c2, c3 = car[i], car[i + N1], car[i + N2], car[i + N3]
+        c4, c5, c6, c7 = car[i + N4], car[i + N5], car[i + N6], car[i + N7]
+        at = c0 * ONE, c1 * ONE, c2 * ONE, c3 * ONE, c4 * ONE, c5 * ONE, c6 * ONE, c7 * ONE
+        copy_in(t, LOST + i, body, *at)
+        k0, k1, k2, k3 = kind_of[c0] * numbers, kind_of[c1] * numbers, kind_of[c2] * numbers, kind_of[c3] * numbers
+        k4, k5, k6, k7 = kind_of[c4] * numbers, kind_of[c5] * numbers, kind_of[c6] * numbers, kind_of[c7] * numbers
+        copy_in(t, S + i, table, k0, k1, k2, k3, k4, k5, k6, k7)
+        if others:
+            k0, k1, k2, k3 = k0 + ONE, k1 + ONE, k2 + ONE, k3 + ONE
+            k4, k5, k6, k7 = k4 + ONE, k5 + ONE, k6 + ONE, k7 + ONE
+            copy_in(t, E4 + i, table, k0, k1, k2, k3, k4, k5, k6, k7)
 
 
-@njit(**COMPILE)
+@njit(forceinline=True, **COMPILE)
 def _leave(body, car, t, i):
-    """Car and lane part. Returns the passages without contact."""
-    body[car, 0], body[car, 1] = t[Z + i], t[P + i]
-    for q in range(uint64(body.shape[1] - 2)):
-        body[car, 2 + q] = t[H1 + q * L + i]
-    return int(t[LOST + i])
+    """Car and lane part."""
+    k = car * ONE
+    body[k], body[k + N1], body[k + N2], body[k + N3] = t[LOST + i], t[F + i], t[F1 + i], t[H0 + i]
+    body[k + N4], body[k + N5], body[k + N6], body[k + N7] = t[H1 + i], t[H2 + i], t[H3 + i], t[H4 + i]
 
 
 @njit(**COMPILE)
 def cross_units(road, body, table, kind_of, units, ranking, total, work, hold, kind, law, lift_off):
-    """Every unit crosses its nodes, level by level. Returns the number of passages without contact.
+    """Every unit crosses its nodes, level by level.
 
-    body (cars, 2 + hold): Z, P, contact heights, newest first. table: `coefficients`. work: see `workspace`. hold, kind:
-    tuples of as many zeros, which the compiler knows. law: (value, shape).
+    body (cars * 8): passages without contact, f, f_-1, contact heights, newest first. table: `coefficients`, flat. work: see
+    `workspace`. hold, kind: tuples of as many zeros, which the compiler knows. law: (value, shape).
     """
-    heights, t, car, start, length, of_kind = work
+    heights, t, car, start, length = work
     value, shape = law
     slack = 0.0 if lift_off else np.inf
-    airborne = 0
     first = 0
     while first < total:
         level = units[ranking[first], LEVEL]
@@ -175,59 +191,59 @@ def cross_units(road, body, table, kind_of, units, ranking, total, work, hold, k
                 i -= 1
             car[i], start[i], length[i] = units[unit, CAR], units[unit, START], units[unit, LENGTH]
             count += 1
-        if heights.size < length[0] * LANES:
-            heights = aligned(2 * length[0] * LANES)
-        for i in range(uint64(count)):
-            _enter(body, car[i], table, kind_of[car[i]], of_kind, t, i)
-        _copy_nodes(heights, road, start, length, count, False)
+        _enter(body, table, kind_of, car, start, count, t, len(hold) > 3 or len(kind) != CONSTANT)
         live = count
         r = uint64(0)
-        while live > 0:
-            wide = uint64((live + VECTOR - 1) // VECTOR * VECTOR)
-            end = length[live - 1]
-            while r + N4 <= end:
-                _cross_rows(heights, r * L, t, wide, (0, 0, 0, 0), hold, kind, value, shape, slack)
-                r += N4
-            while r < end:
-                _cross_rows(heights, r * L, t, wide, (0,), hold, kind, value, shape, slack)
-                r += N1
-            while live > 0 and length[live - 1] == end:
-                live -= 1
-                airborne += _leave(body, car[live], t, uint64(live))
-        _copy_nodes(heights, road, start, length, count, True)
+        for piece in range(0, length[0], ROWS):
+            here = live
+            _copy_nodes(heights, road, start, length, here, piece, False)
+            until = uint64(piece + ROWS)
+            begin = uint64(piece)
+            while live > 0 and r < until:
+                wide = uint64((live + VECTOR - 1) // VECTOR * VECTOR)
+                end = min(length[live - 1], until)
+                while r + N4 <= end:
+                    _cross_rows(heights, (r - begin) * L, t, wide, (0, 0, 0, 0), hold, kind, value, shape, slack)
+                    r += N4
+                while r < end:
+                    _cross_rows(heights, (r - begin) * L, t, wide, (0,), hold, kind, value, shape, slack)
+                    r += N1
+                while live > 0 and length[live - 1] == end:
+                    live -= 1
+                    _leave(body, car[live], t, uint64(live))
+            _copy_nodes(heights, road, start, length, here, piece, True)
         first += count
-    return airborne
 
 
 @njit(**COMPILE)
 def workspace():
-    """Heights under the lanes (replaced by a longer table where units are), the lanes' table, and what is in each lane."""
+    """Heights under the lanes, the lanes' table, and what is in each lane: car, first node, number of nodes."""
     lane = np.zeros((3, LANES), np.uint64)
-    return aligned(64 * LANES), aligned((FIRST + 21) * LANES), lane[0], lane[1], lane[2], np.full(LANES, -1)
+    return aligned(ROWS * LANES), aligned(3 * RECORD * LANES), lane[0], lane[1], lane[2]
 
 
 @njit(**COMPILE)
 def cross_until(begin, end, stretch, road, cars, table, plans, work, hold, kind, law, lift_off):
     """All passages due after `begin` and at `end` or before, in stretches of time of at most `stretch`.
 
-    cars: order, place, crossed, first_due, step of `plan`, kind_of, and body of `cross_units`. plans: spare, touched, top,
-    units, ranking of `plan`. Returns the passages done and those without contact.
+    cars: order, place, crossed, first_due, step, number of `plan`, kind_of, and body of `cross_units`. plans: spare,
+    touched, top, units, ranking of `plan`. Returns the passages done.
     """
-    order, place, crossed, first_due, step, kind_of, body = cars
+    order, place, crossed, first_due, step, number, kind_of, body = cars
     spare, touched, top, units, ranking = plans
-    done = airborne = 0
-    parts = max(1, int(np.ceil((end - begin) / stretch)))
+    done = 0
+    parts = max(1, int(np.ceil((end - begin) / stretch - 0.25)))
     part = 0
     while part < parts:
         until = end if part + 1 == parts else begin + (part + 1) * (end - begin) / parts
         units, ranking, total = plan(
-            until, road.size, order, place, crossed, first_due, step, spare, touched, top, units, ranking
+            until, road.size, order, place, crossed, first_due, step, number, spare, touched, top, units, ranking
         )
         if total < 0:
             part, parts = 2 * part, 2 * parts
             continue
         for n in range(total):
             done += units[n, LENGTH]
-        airborne += cross_units(road, body, table, kind_of, units, ranking, total, work, hold, kind, law, lift_off)
+        cross_units(road, body, table, kind_of, units, ranking, total, work, hold, kind, law, lift_off)
         part += 1
-    return done, airborne
+    return done

@@ -16,11 +16,15 @@ import numpy as np
 from numba import uint64
 
 from ..compiled import njit
+from .lanes import LANES
 
 # times must round alike wherever they are formed: said outright, or a caller that contracts would hand that down
 OPTIONS = {"cache": True, "error_model": "numpy", "fastmath": False}
+INLINE = OPTIONS | {"forceinline": True}  # what takes many arrays costs more to call than to do
 CAR, START, LENGTH, LEVEL = range(4)  # columns of `units`; START in [0, nodes)
 RESET = 2**30
+CLASSES = 64
+GRAIN = 2  # levels are kept by every 2**GRAIN nodes: units that share so many wait for each other, too
 
 
 @njit(**OPTIONS)
@@ -30,23 +34,21 @@ def _due(car, ahead, place, crossed, first_due, step):
 
 
 @njit(**OPTIONS)
-def _goes_first(a, b, node, place, crossed, first_due, step):
-    """Car a crosses `node` before car b; at the same time the lower car goes first."""
+def _goes_first(a, b, node, place, crossed, first_due, step, number):
+    """Car a crosses `node` before car b; at the same time that of the lower number goes first."""
     when_a = _due(a, node, place, crossed, first_due, step)
     when_b = _due(b, node, place, crossed, first_due, step)
-    return when_a < when_b or (when_a == when_b and a < b)
+    return when_a < when_b or (when_a == when_b and number[a] < number[b])
 
 
 @njit(**OPTIONS)
 def _count(until, order, place, crossed, first_due, step, reach):
     """reach <- the node that each car will be about to cross once all due at `until` or before are crossed."""
     furthest = place[order[0]]
-    for car in range(place.size):
-        n = max(int((until - first_due[car]) / step[car]), crossed[car])
-        while first_due[car] + n * step[car] <= until:
-            n += 1
-        while n > crossed[car] and first_due[car] + (n - 1) * step[car] > until:
-            n -= 1
+    for car in range(uint64(place.size)):
+        n = max(np.int64((until - first_due[car]) / step[car]), crossed[car])
+        n += first_due[car] + n * step[car] <= until  # the quotient and its rounding are each one short at most
+        n += first_due[car] + n * step[car] <= until
         reach[car] = place[car] + (n - crossed[car])
         furthest = max(furthest, reach[car])
     return furthest
@@ -64,35 +66,41 @@ def _cut(nodes, furthest, order, place, reach, spare):
     else:
         return False
     if r > 0:
-        spare[:] = order
+        for s in range(order.size):
+            spare[s] = order[s]
         for s in range(order.size):
             order[s] = spare[s + r - order.size if s + r >= order.size else s + r]
         for s in range(r):
             place[spare[s]] += nodes
             reach[spare[s]] += nodes
     if place[order[0]] >= nodes:
-        place -= nodes
-        reach -= nodes
+        for car in range(order.size):
+            place[car] -= nodes
+            reach[car] -= nodes
     return True
 
 
 @njit(**OPTIONS)
-def _longer(rows):
-    """Room for twice as many rows."""
-    more = np.empty((2 * rows.shape[0], rows.shape[1]), np.int64)
-    more[: rows.shape[0]] = rows
+def _longer(rows, wanted):
+    """Room for as many rows as wanted, and for as many more."""
+    more = np.empty((2 * wanted, rows.shape[1]), np.int64)
+    for n in range(rows.shape[0]):  # not by slices: they take seconds to compile
+        for q in range(rows.shape[1]):
+            more[n, q] = rows[n, q]
     return more
 
 
 @njit(**OPTIONS)
-def _sort(events, time):
+def _sort(events, time, found, number):
     """Events in the order of time; of those at the same time that of the lower overtaker goes first (Shell's sort)."""
-    gap = time.size // 2
+    gap = found // 2
     while gap > 0:
-        for n in range(gap, time.size):
+        for n in range(gap, found):
             i, j, x, when = events[n, 0], events[n, 1], events[n, 2], time[n]
             m = n
-            while m >= gap and (time[m - gap] > when or (time[m - gap] == when and events[m - gap, 0] > i)):
+            while m >= gap and (
+                time[m - gap] > when or (time[m - gap] == when and number[events[m - gap, 0]] > number[i])
+            ):
                 events[m, 0], events[m, 1], events[m, 2] = events[m - gap, 0], events[m - gap, 1], events[m - gap, 2]
                 time[m] = time[m - gap]
                 m -= gap
@@ -100,141 +108,163 @@ def _sort(events, time):
         gap //= 2
 
 
-@njit(**OPTIONS)
-def _overtakes(order, after, place, crossed, first_due, step, reach):
-    """after <- the cars in ascending order at the end. Rows (overtaker, overtaken, node), in the order of time."""
-    after[:] = order
-    events = np.empty((64, 3), np.int64)
+@njit(**INLINE)
+def _stay_in_order(first, end, order, place, crossed, first_due, step, number, reach):
+    """No car of ranks first..end overtakes another."""
+    for r in range(first + 1, end):
+        behind, ahead = order[r - 1], order[r]
+        if reach[behind] > reach[ahead] or (
+            reach[behind] == reach[ahead]
+            and _goes_first(behind, ahead, reach[ahead], place, crossed, first_due, step, number)
+        ):
+            return False
+    return True
+
+
+@njit(**INLINE)
+def _overtakes(first, end, order, after, place, crossed, first_due, step, number, reach, events, time):
+    """Of the cars of ranks first..end; after <- those in ascending order at the end. `events`, rows
+    (overtaker, overtaken, node) in the order of time, their times, replaced where they are too short, and their number."""
+    after[first] = order[first]
     found = 0
-    for r in range(1, order.size):
+    for r in range(first + 1, end):
         car = order[r]
         s = r
-        while s > 0:
+        while s > first:
             other = after[s - 1]
             if reach[other] < reach[car] or (
-                reach[other] == reach[car] and not _goes_first(other, car, reach[car], place, crossed, first_due, step)
+                reach[other] == reach[car]
+                and not _goes_first(other, car, reach[car], place, crossed, first_due, step, number)
             ):
                 break
-            if found == events.shape[0]:
-                events = _longer(events)
+            if found == time.size:
+                events, time = _longer(events, found), np.empty(2 * found)
             events[found, 0], events[found, 1] = other, car
             found += 1
             after[s] = other
             s -= 1
         after[s] = car
-    events = events[:found]
-    time = np.empty(found)
     for e in range(found):
         i, j = events[e, 0], events[e, 1]
         x = place[j]
         late = _due(i, x, place, crossed, first_due, step) - _due(j, x, place, crossed, first_due, step)
         if late > 0.0 and step[j] > step[i]:
             x = min(x + int(late / (step[j] - step[i])), reach[j])
-        while x < reach[j] and not _goes_first(i, j, x, place, crossed, first_due, step):
+        while x < reach[j] and not _goes_first(i, j, x, place, crossed, first_due, step, number):
             x += 1
-        while x > place[j] and _goes_first(i, j, x - 1, place, crossed, first_due, step):
+        while x > place[j] and _goes_first(i, j, x - 1, place, crossed, first_due, step, number):
             x -= 1
         events[e, 2], time[e] = x, _due(i, x, place, crossed, first_due, step)
-    _sort(events, time)
-    return events
+    _sort(events, time, found, number)
+    return events, time, found
 
 
 @njit(**OPTIONS)
-def _mark(touched, start, count, level):
-    for x in range(start, start + count):
+def _touch(touched, start, length, nodes, level):
+    """Mark the nodes from `start` on, around the ring, as crossed at `level`; by 2**GRAIN of them."""
+    for x in range(start >> GRAIN, ((min(start + length, nodes) - 1) >> GRAIN) + 1):
+        touched[x] = level
+    for x in range(((start + length - nodes - 1) >> GRAIN) + 1):
         touched[x] = level
 
 
 @njit(**OPTIONS)
-def _highest(touched, start, count, top):
-    for x in range(start, start + count):
+def _top(touched, start, length, nodes, top):
+    """The highest level that has crossed any node from `start` on, `top` at least."""
+    for x in range(start >> GRAIN, ((min(start + length, nodes) - 1) >> GRAIN) + 1):
+        top = max(top, touched[x])
+    for x in range(((start + length - nodes - 1) >> GRAIN) + 1):
         top = max(top, touched[x])
     return top
 
 
 @njit(**OPTIONS)
-def _touch(touched, start, length, level):
-    """Mark the nodes from `start` on, around the ring, as crossed at `level`."""
-    run = min(length, touched.size - start)
-    _mark(touched, uint64(start), uint64(run), np.int32(level))
-    _mark(touched, uint64(0), uint64(length - run), np.int32(level))
+def _add(units, total, car, start, length, level, nodes):
+    units[total, CAR], units[total, START] = car, start if start < nodes else start - nodes
+    units[total, LENGTH], units[total, LEVEL] = length, level
 
 
-@njit(**OPTIONS)
-def _top(touched, start, length):
-    """The highest level that has crossed any node from `start` on."""
-    run = min(length, touched.size - start)
-    top = _highest(touched, uint64(start), uint64(run), np.int32(0))
-    return np.int64(_highest(touched, uint64(0), uint64(length - run), top))
-
-
-@njit(**OPTIONS)
+@njit(**INLINE)
 def _advance(car, x, base, nodes, done, reach, own, touched, units, total):
     """Let `car` cross its nodes up to x: as more of its last unit where that is free to go on, else as a new one."""
     x = min(x, reach[car])
     length = x - done[car]
     if length <= 0:
-        return units, total
+        return total
     start = done[car] if done[car] < nodes else done[car] - nodes
-    top = max(_top(touched, start, length), base)
+    top = _top(touched, start, length, nodes, base)
     last = own[car]
     if last >= 0 and top < units[last, LEVEL]:
         units[last, LENGTH] += length
-        _touch(touched, start, length, units[last, LEVEL])
+        _touch(touched, start, length, nodes, units[last, LEVEL])
     else:
-        if total == units.shape[0]:
-            units = _longer(units)
         level = (max(top, units[last, LEVEL]) if last >= 0 else top) + 1
-        units[total, CAR], units[total, START], units[total, LENGTH], units[total, LEVEL] = car, start, length, level
+        _add(units, total, car, start, length, level, nodes)
         own[car] = total
         total += 1
-        _touch(touched, start, length, level)
+        _touch(touched, start, length, nodes, level)
     done[car] = x
-    return units, total
+    return total
 
 
-@njit(**OPTIONS)
-def _split(events, order, rank, nodes, done, reach, own, touched, base, units):
-    """Units of a stretch with overtakes, in time: before each, the two and those ahead of them reach its node."""
-    cars = order.size
-    total = 0
-    for r in range(cars):
+@njit(**INLINE)
+def _split(events, found, first, end, order, rank, nodes, done, reach, own, touched, base, units, total):
+    """Units of the cars of ranks first..end with overtakes, in time: before each, the two and those ahead of them reach
+    its node."""
+    for r in range(first, end):
         rank[order[r]] = r
-    own[:] = -1
-    for e in range(events.shape[0]):
+        own[order[r]] = -1
+    for e in range(found):
         i, j, x = events[e, 0], events[e, 1], events[e, 2]
         if rank[i] > rank[j]:
             continue
         r = rank[i] + 1
-        while r < cars and done[order[r]] < x:
+        while r < end and done[order[r]] < x:
             r += 1
+        if total + end - first > units.shape[0]:
+            units = _longer(units, total + end - first)
         for s in range(r - 1, rank[i] - 1, -1):
-            units, total = _advance(order[s], x, base, nodes, done, reach, own, touched, units, total)
+            total = _advance(order[s], x, base, nodes, done, reach, own, touched, units, total)
         for s in range(rank[i], rank[j]):
             order[s] = order[s + 1]
             rank[order[s]] = s
         rank[i] = rank[j] + 1
         order[rank[i]] = i
-    for r in range(cars - 1, -1, -1):
-        units, total = _advance(order[r], reach[order[r]], base, nodes, done, reach, own, touched, units, total)
+    if total + end - first > units.shape[0]:
+        units = _longer(units, total + end - first)
+    for r in range(end - 1, first - 1, -1):
+        total = _advance(order[r], reach[order[r]], base, nodes, done, reach, own, touched, units, total)
     return units, total
 
 
-@njit(**OPTIONS)
-def _in_line(order, nodes, place, reach, units):
-    """Units of a stretch without overtakes: a car waits for the one ahead if it will cross nodes of that one."""
-    total = 0
-    ahead = 2 * nodes
-    level = 1
-    for r in range(order.size - 1, -1, -1):
+@njit(**INLINE)
+def _in_line(first, end, order, nodes, place, reach, base, most, units, total):
+    """Units of the cars of ranks first..end, none of which overtakes: each waits for the one ahead.
+
+    So that no long line waits for its first, it is cut before every `most` cars: first all go as far as the cut ahead of
+    them, then those that reach beyond it, in line again.
+    """
+    cut, n = 2 * nodes + 1, 0
+    for r in range(end - 1, first - 1, -1):
+        if n == most:
+            cut, n = place[order[r + 1]], 0
+        n += 1
         car = order[r]
-        start, length = place[car], reach[car] - place[car]
+        length = min(reach[car], cut) - place[car]
         if length > 0:
-            level = level + 1 if start + length > ahead else 1
-            units[total, CAR], units[total, LENGTH], units[total, LEVEL] = car, length, level
-            units[total, START] = start if start < nodes else start - nodes
+            _add(units, total, car, place[car], length, base + n, nodes)
             total += 1
-            ahead = start
+    level, ahead = base + most, 2 * nodes + 1
+    for front in range(end - 1 - most, first - 1, -most):
+        cut = place[order[front + 1]]
+        for r in range(front, max(front - most, first - 1), -1):
+            car = order[r]
+            if reach[car] <= cut:
+                break  # nor do those behind it
+            level = level + 1 if reach[car] > ahead else base + most + 1
+            _add(units, total, car, cut, reach[car] - cut, level, nodes)
+            total += 1
+            ahead = cut
     return total
 
 
@@ -245,26 +275,29 @@ def _rank_units(units, total, base, ranking):
     for n in range(total):
         longest = max(longest, units[n, LENGTH])
         levels = max(levels, units[n, LEVEL] - base)
-    classes = min(longest + 1, 64)
-    room = np.zeros(levels * classes + 1, np.int64)
+    shift = 0
+    while longest >> shift >= CLASSES:
+        shift += 1
+    room = np.zeros(levels * CLASSES + 1, np.int64)
     for n in range(total):
-        room[(units[n, LEVEL] - base - 1) * classes + (longest - units[n, LENGTH]) * classes // (longest + 1) + 1] += 1
+        room[(units[n, LEVEL] - base - 1) * CLASSES + ((longest - units[n, LENGTH]) >> shift) + 1] += 1
     for key in range(1, room.size):
         room[key] += room[key - 1]
     for n in range(total):
-        key = (units[n, LEVEL] - base - 1) * classes + (longest - units[n, LENGTH]) * classes // (longest + 1)
+        key = (units[n, LEVEL] - base - 1) * CLASSES + ((longest - units[n, LENGTH]) >> shift)
         ranking[room[key]] = n
         room[key] += 1
     return levels
 
 
 @njit(**OPTIONS)
-def plan(until, nodes, order, place, crossed, first_due, step, spare, touched, top, units, ranking):
+def plan(until, nodes, order, place, crossed, first_due, step, number, spare, touched, top, units, ranking):
     """The units of all passages due at `until` or before, and the cars moved there.
 
     order (cars,): cars in ascending order. place, crossed (cars,): the next node of each and the nodes crossed so far;
-    car c crosses its n-th node, from 0, at first_due[c] + n * step[c]. spare (5, cars). touched (nodes,), the level at
-    which each node was crossed; top (1,): the highest so far. units (n, 4), ranking (n,): room, replaced where it is short.
+    car c crosses its n-th node, from 0, at first_due[c] + n * step[c]; number (cars,) tells which goes first at the same time.
+    spare (5, cars). touched (nodes,), the level at
+    which nodes were crossed; top (1,): the highest so far. units (n, 4), ranking (n,): room, replaced where it is short.
     Returns units, ranking (by level, the longer first) and their number; -1, and no car moved, if the time is so long
     that no node is left uncrossed.
     """
@@ -272,24 +305,40 @@ def plan(until, nodes, order, place, crossed, first_due, step, spare, touched, t
     furthest = _count(until, order, place, crossed, first_due, step, reach)
     if not _cut(nodes, furthest, order, place, reach, after):
         return units, ranking, -1
-    events = _overtakes(order, after, place, crossed, first_due, step, reach)
-    base = 0
-    if events.shape[0]:
-        if top[0] > RESET:
-            touched[:] = 0
-            top[0] = 0
-        base = top[0]
-        done[:] = place
-        units, total = _split(events, order, rank, nodes, done, reach, own, touched, base, units)
-        order[:] = after
-    else:
-        total = _in_line(order, nodes, place, reach, units)
+    if top[0] > RESET:
+        for x in range(touched.size):
+            touched[x] = 0
+        top[0] = 0
+    base = top[0]
+    events, time = np.empty((64, 3), np.int64), np.empty(64)
+    most = (order.size + LANES - 1) // LANES
+    total = end = 0
+    while end < order.size:
+        # cars that have nothing to do with those before and behind: no common nodes
+        first, beyond = end, reach[order[end]]
+        end += 1
+        while end < order.size and place[order[end]] < beyond:
+            beyond = max(beyond, reach[order[end]])
+            end += 1
+        if _stay_in_order(first, end, order, place, crossed, first_due, step, number, reach):
+            if total + 2 * (end - first) > units.shape[0]:
+                units = _longer(units, total + 2 * (end - first))
+            total = _in_line(first, end, order, nodes, place, reach, base, most, units, total)
+            continue
+        events, time, found = _overtakes(
+            first, end, order, after, place, crossed, first_due, step, number, reach, events, time
+        )
+        for r in range(first, end):
+            done[order[r]] = place[order[r]]
+        units, total = _split(
+            events, found, first, end, order, rank, nodes, done, reach, own, touched, base, units, total
+        )
+        for r in range(first, end):
+            order[r] = after[r]
     if ranking.size < units.shape[0]:
         ranking = np.empty(units.shape[0], np.int64)
-    levels = _rank_units(units, total, base, ranking)
-    if events.shape[0]:
-        top[0] += levels
-    for car in range(place.size):
+    top[0] += _rank_units(units, total, base, ranking)
+    for car in range(uint64(place.size)):
         crossed[car] += reach[car] - place[car]
         place[car] = reach[car]
     return units, ranking, total
