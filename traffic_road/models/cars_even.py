@@ -100,6 +100,7 @@ class _Cars:
             s, self.factor, self.offset = 1.0, omega2 if kind == EXPONENTIAL else 1.0, 0.0
             self.coefficients = np.concatenate(([0.0, T, D], self.factor * e))
         self.passage = s, B[0, 0], half, omega2, (kind, value, shape)
+        self.law = passage(*self.passage, 0.0)
         self.newest = B[0, 0]
         self.lift_off, self.rows = scene.lift_off, rows
         self.sweep = sweep_even(where_in.width, hold, kind, rows, parallel)
@@ -134,6 +135,6 @@ class _Cars:
         """All cars cross `headways` blocks, the first of them being headway `done`."""
         slack = 0.0 if self.lift_off else np.inf
         slot, lane = self.where
-        level = float(np.mean(self.state[slot, FIELDS, lane])) if self.exponential else 0.0
-        law = passage(*self.passage, level)
-        self.sweep(road, self.flat, self.layout, headways, done, self.coefficients, law, slack)
+        if self.exponential:
+            self.law = passage(*self.passage, float(np.mean(self.state[slot, FIELDS, lane])))
+        self.sweep(road, self.flat, self.layout, headways, done, self.coefficients, self.law, slack)

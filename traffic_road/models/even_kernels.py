@@ -204,7 +204,7 @@ def _make_sweep(width, hold, kind, unroll, parallel):
         c3, d3, c4, d4, c5 = law[11], law[12], law[13], law[14], law[15]
         u = law[16], law[17], law[18], law[19], law[20], law[21], law[22], law[23], law[24], law[25], law[26]
         least = -slack
-        cars = state.reshape(layout.panels, tiles, FIELDS + hold, width)
+        spare = np.empty((FIELDS + hold + 1, width))
         deepest = min(DEEPEST, tiles)
         end_of_all = first + count
         for part in range(2 * ((count + deepest - 1) // deepest)):
@@ -288,9 +288,9 @@ def _make_sweep(width, hold, kind, unroll, parallel):
                                     _carefully(road, at, unroll, width, lanes, state, int(car), hold, c, law, least)
                                     beyond = _beyond(road, start, rows, width, lanes, level, reach)
             if wedge:
-                hand_over(cars, done + 1, done + headways, layout)
+                hand_over(state, done + 1, done + headways, layout, spare)
             else:
-                hand_over(cars, done + headways, done + headways + 1, layout)
+                hand_over(state, done + headways, done + headways + 1, layout, spare)
 
     return sweep
 

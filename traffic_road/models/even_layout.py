@@ -127,32 +127,26 @@ def slots(done, layout):
 
 
 @njit(**COMPILE)
-def hand_over(state, begin, end, layout):
+def hand_over(state, begin, end, layout, spare):
     """Cars that crossed the last tile before headway begin <= `done` < end step over to the next lane: into tile 0, or 1
     of a short lane.
 
-    state (panels, tiles, fields, width). Those of tile 0 take the slot that the others leave.
+    state (panels, tiles, fields, width), flat. Those of tile 0 take the slot that the others leave. spare (fields + 1, width).
     """
+    width, fields, last = layout.width, spare.shape[0] - 1, layout.lanes - 1
+    size, row = fields * width, spare[fields]
     for done in range(begin, end):
-        _hand_over(state, done, layout)
-
-
-@njit(**COMPILE)
-def _hand_over(state, done, layout):
-    retired = -done % layout.tiles
-    after = (1 - done) % layout.tiles
-    last = layout.lanes - 1
-    fields = state.shape[2]
-    wrapped = state[last // layout.width, retired, :, last % layout.width].copy()
-    for lane in range(last, 0, -1):
-        slot = retired if lane < layout.long else after
-        panel, i, from_panel, j = (
-            lane // layout.width,
-            lane % layout.width,
-            (lane - 1) // layout.width,
-            (lane - 1) % layout.width,
-        )
+        retired, after = -done % layout.tiles, (1 - done) % layout.tiles
+        around = (last // width * layout.tiles + retired) * size + last % width
         for f in range(fields):
-            state[panel, slot, f, i] = state[from_panel, retired, f, j]
-    for f in range(fields):
-        state[0, retired, f, 0] = wrapped[f]
+            spare[f, 0] = state[around + f * width]
+        for panel in range(last // width, -1, -1):
+            lanes = min(width, layout.lanes - panel * width)
+            longs = min(max(0, layout.long - panel * width), lanes)
+            old, new = (panel * layout.tiles + retired) * size, (panel * layout.tiles + after) * size
+            before = old - layout.tiles * size + width - 1  # the last lane of the panel before
+            for f in range(fields):
+                copy(row, 1, state, old + f * width, lanes - 1)
+                row[0] = state[before + f * width] if panel > 0 else spare[f, 0]
+                copy(state, old + f * width, row, 0, longs)
+                copy(state, new + f * width + longs, row, longs, lanes - longs)

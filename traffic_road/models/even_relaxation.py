@@ -15,7 +15,7 @@ from ..schemes.relaxation import LOW_PASS, NARROWEST, SHORT_RING, band, by_rippl
 from .even_filters import BLOCK, FIRST, MORE, frame, smooth, smooth_by_levels
 from .even_layout import COMPILE, NARROW, aligned, get, put, row_of
 from .even_ripple import MARGIN, Ripples, halvings
-from .even_surround import surround
+from .even_surround import surround, surround_together
 from .line_relaxation import LineRelaxation
 
 # in pairs of rows worked out for a row of the road:
@@ -30,11 +30,13 @@ def _make_relax(parallel):
 
         scratch (threads, numbers that one needs).
         """
-        _ = parallel  # read, since only what is read tells compiled loops on the disk apart
-        surround(road, depth, layout)
+        if parallel:
+            surround_together(road, depth, layout)
+        else:
+            surround(road, depth, layout)
         threads = scratch.shape[0]
-        for thread in prange(threads):
-            for panel in range(thread, layout.panels, threads):
+        for thread in prange(threads):  # panels as they are shared out when cars cross them: they stay in a core's cache
+            for panel in range(thread * layout.panels // threads, (thread + 1) * layout.panels // threads):
                 start, count = row_of(panel, 0, layout), layout.tiles * layout.rows
                 if passes.size:
                     smooth_by_levels(road, start, count, layout.width, passes, weights, scratch[thread])

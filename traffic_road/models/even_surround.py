@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from numba import uint64
+from numba import prange, uint64
 
 from ..compiled import njit
 from .even_layout import COMPILE, copy, row_of
@@ -38,22 +38,41 @@ def _row_behind(road, to_row, row, short_row, panel, layout):
 
 
 @njit(**COMPILE)
-def surround(road, depth, layout):
-    """Tile 0 of short lanes, and `depth` rows of the margins before and behind all lanes, filled from where they belong.
+def _lend(road, panel, layout):
+    """Tile 0 of short lanes <- the last tile of the lane before."""
+    rows, width = layout.rows, layout.width
+    lanes = min(width, layout.lanes - panel * width)
+    longs = min(max(0, layout.long - panel * width), lanes)
+    for r in range(rows):
+        _row_before(road, r, (layout.tiles - 1) * rows + r, panel, longs, lanes, layout)
 
-    depth: no more than a lane has, its first tile left out.
-    """
-    rows, tiles, width = layout.rows, layout.tiles, layout.width
-    span = tiles * rows
-    for panel in range(layout.panels):
-        lanes = min(width, layout.lanes - panel * width)
-        longs = min(max(0, layout.long - panel * width), lanes)
-        for r in range(rows):
-            _row_before(road, r, span - rows + r, panel, longs, lanes, layout)
-    for panel in range(layout.panels):
-        lanes = min(width, layout.lanes - panel * width)
-        longs = min(max(0, layout.long - panel * width), lanes)
-        for d in range(1, depth + 1):
-            _row_before(road, -d, span - d, panel, 0, longs, layout)
-            _row_before(road, -d, span - rows - d, panel, longs, lanes, layout)
-            _row_behind(road, span + d - 1, d - 1, rows + d - 1, panel, layout)
+
+@njit(**COMPILE)
+def _fill(road, panel, depth, layout):
+    rows, width, span = layout.rows, layout.width, layout.tiles * layout.rows
+    lanes = min(width, layout.lanes - panel * width)
+    longs = min(max(0, layout.long - panel * width), lanes)
+    for d in range(1, depth + 1):
+        _row_before(road, -d, span - d, panel, 0, longs, layout)
+        _row_before(road, -d, span - rows - d, panel, longs, lanes, layout)
+        _row_behind(road, span + d - 1, d - 1, rows + d - 1, panel, layout)
+
+
+def _make_surround(parallel):
+    @njit(parallel=parallel, **COMPILE)
+    def surround(road, depth, layout):
+        """Tile 0 of short lanes, and `depth` rows of the margins before and behind all lanes, filled from where they belong.
+
+        depth: no more than a lane has, its first tile left out. A panel's are filled by the thread that works on it.
+        """
+        _ = parallel  # read, since only what is read tells compiled loops on the disk apart
+        if layout.long < layout.lanes:
+            for panel in prange(layout.panels):
+                _lend(road, panel, layout)
+        for panel in prange(layout.panels):
+            _fill(road, panel, depth, layout)
+
+    return surround
+
+
+surround, surround_together = _make_surround(False), _make_surround(True)
