@@ -26,7 +26,7 @@ from numpy.polynomial.chebyshev import cheb2poly, chebinterpolate
 from ..compiled import njit
 from ..laws import CONSTANT, EXPONENTIAL
 from ..schemes.passage import contact_height
-from .even_layout import COMPILE, copy, hand_over, row_of
+from .even_layout import COMPILE, aligned, copy, hand_over, row_of
 
 FIELDS = 3  # of a car, before its contact heights: signs, f, f_-1
 DEEPEST = 16  # headways that go through a tile at a time
@@ -204,7 +204,7 @@ def _make_sweep(width, hold, kind, unroll, parallel):
         c3, d3, c4, d4, c5 = law[11], law[12], law[13], law[14], law[15]
         u = law[16], law[17], law[18], law[19], law[20], law[21], law[22], law[23], law[24], law[25], law[26]
         least = -slack
-        spare = np.empty((FIELDS + hold + 1, width))
+        spare = aligned((FIELDS + hold + 1) * width).reshape(FIELDS + hold + 1, width)
         deepest = min(DEEPEST, tiles)
         end_of_all = first + count
         for part in range(2 * ((count + deepest - 1) // deepest)):
@@ -212,7 +212,7 @@ def _make_sweep(width, hold, kind, unroll, parallel):
             headways = min(deepest, end_of_all - done)
             if headways > 1 or wedge:
                 for panel in prange(layout.panels):
-                    saved = np.empty((unroll + FIELDS + hold) * width if kind == EXPONENTIAL else 0)
+                    saved = aligned((unroll + FIELDS + hold) * width if kind == EXPONENTIAL else 0)
                     begin, end = (1, tiles) if wedge else (0, headways)
                     if headways == 1:
                         begin, end = 0, tiles

@@ -35,9 +35,8 @@ def _make_relax(parallel):
         else:
             surround(road, depth, layout)
         threads = scratch.shape[0]
-        for thread in prange(
-            threads
-        ):  # panels as they are shared out when cars cross them: they stay in a core's cache
+        # panels are shared out as they are when cars cross them: they stay in a core's cache
+        for thread in prange(threads):
             for panel in range(thread * layout.panels // threads, (thread + 1) * layout.panels // threads):
                 start, count = row_of(panel, 0, layout), layout.tiles * layout.rows
                 if passes.size:
