@@ -173,8 +173,11 @@ def affordable(scene, name, given):
         return chosen["nodes"] < WORK
     if name == "continuum":
         return scene.duration / chosen["step"] * chosen["nodes"] < WORK / 20
-    updates = scene.duration * float(scene.fleet.per_car("speed").sum()) * chosen["nodes"] / scene.road.length
-    relaxed = scene.duration / scene.headway_time / chosen["relax_every"]
+    duration = max(
+        scene.duration, scene.headway_time * chosen["relax_every"]
+    )  # no run of evenly spaced cars is shorter
+    updates = duration * float(scene.fleet.per_car("speed").sum()) * chosen["nodes"] / scene.road.length
+    relaxed = duration / scene.headway_time / chosen["relax_every"]
     law, dx = scene.road.diffusivity, scene.road.length / chosen["nodes"]
     if not isinstance(law, tr.Constant):  # polynomials in the operator: a transform each
         with np.errstate(all="ignore"):
@@ -295,6 +298,18 @@ THEORY = {
 # values that are documented to be so: no finite answer, or an iteration without a root
 INFINITE = {"neutral_softness", "critical_speed", "critical_flux"}
 MISSING = {"neutral_softness", "dispersion"}
+
+
+def test_a_softness_that_no_integrator_can_follow_is_refused():
+    with outcome(), pytest.raises(tr.TrafficRoadError, match="softness"):
+        tr.theory.settle(1e300, 1.0, [1.0])
+
+
+def test_a_wave_shorter_than_two_nodes_has_no_growth_rate_on_the_grid():
+    scene = tr.Scene(tr.Road(10.0, 0.0, 0.0), tr.Fleet(1, 0.1, speed=10**-1.25, frequency=10**-0.75), 1.0)
+    assert np.isfinite(tr.theory.floquet(scene, 0.999 * np.pi * 4 / 10, nodes=4))
+    with outcome(), pytest.raises(tr.TrafficRoadError, match="two nodes"):
+        tr.theory.floquet(scene, 6.698965412102164e16, nodes=4, relax_every=4)
 
 
 @given(st.data(), st.sampled_from(sorted(THEORY)))

@@ -20,6 +20,7 @@ from ..compiled import njit
 DEGREE = 18  # of the Taylor polynomial for norms up to 1: 1/19! is below rounding
 LOOK = 0.5  # how far `stays_below` looks ahead at a time, and how often
 MOST_LOOKS = 100
+SAFE = 0.1  # step times the rate at which N acts, below which no step of cars has been found to grow
 SMALL = 16  # size up to which plain loops beat a call of the library for every matrix
 
 # stage s: over half a step (s = 0, 1) or the step (2, 3) from its start, N = sum_p theta^p/p! sum_r POLYNOMIAL[s, p, r] N_r
@@ -154,3 +155,36 @@ def krogstad(u: np.ndarray, remainder, half: np.ndarray, full: np.ndarray) -> np
         rates[s] = remainder(stage)
         stage = np.einsum("ijk,jk->ik", propagator, np.concatenate((u, POLYNOMIAL[s] @ rates)))
     return stage
+
+
+def amplification(system: np.ndarray, source: np.ndarray, row: np.ndarray, step: float) -> np.ndarray:
+    """What a step does to u where N = row u, row (systems, size): matrices (systems, size, size)."""
+    half = exact(system, source, step / 2)
+    full = doubled(half)
+    each = np.eye(source.size, dtype=complex)[:, :, None] * np.ones(len(system))
+    return np.stack([krogstad(u, lambda u: (row.T * u).sum(axis=0), half, full) for u in each]).transpose(2, 1, 0)
+
+
+def step_limit(system: np.ndarray, source: np.ndarray, row: np.ndarray, longest: float) -> float:
+    """The step from which on N = row u makes a system grow that u' = (L + b row) u does not; inf if not below `longest`.
+
+    Looked for from far below, since beyond its limit a step may be stable again for a while.
+    """
+    stable = np.linalg.eigvals(system + source[:, None] * row[:, None, :]).real.max(axis=1) <= 0
+    system, row = system[stable], row[stable]
+    rate = np.abs(row @ source).max(initial=0.0)
+    if rate == 0:
+        return np.inf
+
+    def grows(step):
+        return np.abs(np.linalg.eigvals(amplification(system, source, row, step))).max() > 1 + 1e-9
+
+    low = high = SAFE / rate
+    while not grows(high):
+        if high >= longest:
+            return np.inf
+        low, high = high, 1.05 * high
+    while high - low > 1e-4 * low:
+        middle = (low + high) / 2
+        low, high = (low, middle) if grows(middle) else (middle, high)
+    return low

@@ -116,6 +116,12 @@ def floquet_modes(scene, wavenumbers, **numerics) -> list[tuple[complex, np.ndar
     rows, wavenumbers = nodes // count, [finite("k", k) for k in wavenumbers]
     if rows > MOST_ROWS:
         raise SceneError(f"floquet: {rows} nodes a headway, must be at most {MOST_ROWS}; use fewer nodes")
+    shortest = np.pi * nodes / scene.road.length * (1 + 1e-9)
+    if max(map(abs, wavenumbers), default=0.0) > shortest:
+        raise SceneError(
+            f"floquet: k = {max(wavenumbers, key=abs):g} is a wave shorter than two nodes, must be at most "
+            f"{shortest:.4g}; use more nodes"
+        )
     span = relax_every * scene.headway / car[0]
     block = {"headway": scene.headway, "rows": rows}
     sweep = sweep_map(**block, hold=hold, softness=softness, car=car)[:, :-1]

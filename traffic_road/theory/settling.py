@@ -62,7 +62,13 @@ def _full(law, damping, times, height):
 
     start = [0.0, 0.0, -float(law(height))]
     span = 0.0, times[-1] or 1.0  # solve_ivp returns nothing on an empty span
-    drop, lift, _ = solve_ivp(rates, span, start, method="DOP853", t_eval=times, rtol=1e-13, atol=1e-15).y
+    with np.errstate(all="ignore"):  # what overflows is told below
+        found = solve_ivp(rates, span, start, method="DOP853", t_eval=times, rtol=1e-13, atol=1e-15)
+    if not (found.success and np.isfinite(found.y).all()):
+        raise SceneError(
+            f"law: the road cannot be followed from a softness of {-start[2]:.3g} at height {height:g} on; use a lower one"
+        )
+    drop, lift, _ = found.y
     return height - drop, height - drop + lift
 
 
