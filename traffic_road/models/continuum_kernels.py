@@ -16,6 +16,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from numba import uint64
 
 from ..compiled import njit
 from ..schemes.exponential import POLYNOMIAL
@@ -61,19 +62,19 @@ def table(modes, points):
 def _synthesise(series, cosine, sine, values):
     values[:] = series[0, 0]
     for m in range(1, series.shape[1]):
-        a, b = series[0, m], series[1, m]
-        for j in range(values.size):
-            values[j] += a * cosine[m, j] + b * sine[m, j]
+        a, b, c, s = series[0, m], series[1, m], cosine[m], sine[m]
+        for j in range(uint64(values.size)):
+            values[j] += a * c[j] + b * s[j]
 
 
 @njit(**COMPILE)
 def _analyse(values, cosine, sine, series):
     base = values[0]  # taken off first, so that a uniform field has no waves but the mean
     for m in range(series.shape[1]):
-        a = b = 0.0
-        for j in range(values.size):
-            a += (values[j] - base) * cosine[m, j]
-            b += (values[j] - base) * sine[m, j]
+        a, b, c, s = 0.0, 0.0, cosine[m], sine[m]
+        for j in range(uint64(values.size)):
+            a += (values[j] - base) * c[j]
+            b += (values[j] - base) * s[j]
         share = 1.0 / values.size if m == 0 else 0.5 / values.size
         series[0, m], series[1, m] = a * share, b * share
     series[0, 0] += base
@@ -130,18 +131,18 @@ def roots_of(series, values, roots, signs):
     points = values.size
     width = 2 * math.pi / points
     count = 0
-    before, here, after = values[-1], values[0], values[1]
+    here, after = values[0], values[1]
+    shift_of_here = _beyond(values[-1], here, after)
     for j in range(points):
-        later = values[(j + 2) % points]
+        later = values[j + 2 - (points if j + 2 >= points else 0)]
+        shift_of_after = _beyond(here, after, later)
         low, high = j * width, (j + 1) * width
         if (here > 0.0) != (after > 0.0):
             roots[count] = _root(series, low, high, here, after)
             signs[count] = 1.0 if after > 0.0 else -1.0
             count += 1
         else:
-            shift = _beyond(before, here, after)
-            if not shift >= 0.0:
-                shift = 1.0 + _beyond(here, after, later)
+            shift = shift_of_here if shift_of_here >= 0.0 else 1.0 + shift_of_after
             if shift <= 1.0:
                 theta = low + shift * width
                 vertex, _ = _at(series, theta)
@@ -151,7 +152,7 @@ def roots_of(series, values, roots, signs):
                     signs[count] = 1.0 if vertex > 0.0 else -1.0
                     signs[count + 1] = -signs[count]
                     count += 2
-        before, here, after = here, after, later
+        here, after, shift_of_here = after, later, shift_of_after
     return count
 
 
@@ -179,13 +180,15 @@ def subtract_masked(out, chi, series):
     modes = series.shape[1]
     for m in range(modes):
         a, b = series[0, m], series[1, m]
-        for n in range(out.shape[1]):
-            out[0, n] -= a * chi[0, modes + n - m] - b * chi[1, modes + n - m]
-            out[1, n] -= a * chi[1, modes + n - m] + b * chi[0, modes + n - m]
+        real, imag = chi[0, modes - m :], chi[1, modes - m :]
+        for n in range(uint64(out.shape[1])):
+            out[0, n] -= a * real[n] - b * imag[n]
+            out[1, n] -= a * imag[n] + b * real[n]
         if m > 0:
-            for n in range(out.shape[1]):
-                out[0, n] -= a * chi[0, modes + n + m] + b * chi[1, modes + n + m]
-                out[1, n] -= a * chi[1, modes + n + m] - b * chi[0, modes + n + m]
+            real, imag = chi[0, modes + m :], chi[1, modes + m :]
+            for n in range(uint64(out.shape[1])):
+                out[0, n] -= a * real[n] + b * imag[n]
+                out[1, n] -= a * imag[n] - b * real[n]
 
 
 @njit(**COMPILE)
@@ -195,46 +198,47 @@ def workspace(modes, kinds, cosine, varying):
     # a law that varies along the road spreads alpha q over all waves of the grid
     series = np.empty((2, cosine.shape[0] if varying else modes))
     chi = np.empty((2, modes + 2 * series.shape[1]))
-    return series, np.empty((2, modes)), chi, np.zeros((3 + 2 * kinds, points)), np.empty((2, 2 * points))
+    return series, np.empty((1 + kinds, 2, modes)), chi, np.zeros((3 + 2 * kinds, points)), np.empty((2, 2 * points))
 
 
 @njit(**COMPILE)
 def remainder(state, curvature, square, weight, laws, references, switches, cosine, sine, work, out):
-    """N of every wave of `state` (1 + 2 kinds, 2, modes), into `out` (2, modes). switches: laws vary, cars may lift off."""
+    """N of every wave of `state` (1 + 2 kinds, 2, modes), into `out` (2, modes). switches: laws vary, cars may lift off.
+
+    Without varying laws only the Y of `state` are looked at.
+    """
     varying, lift_off = switches
-    series, single, chi, fields, (roots, signs) = work
+    series, waves, chi, fields, (roots, signs) = work
     kinds, modes = weight.size, out.shape[1]
     height, bend, rate, over, excess = fields[0], fields[1], fields[2], fields[3 : 3 + kinds], fields[3 + kinds :]
     out[:] = 0.0
     flight = False
-    if lift_off:  # |Y| <= the sum of its waves' amplitudes: where that says contact, nothing is left to clip
-        for i in range(kinds):
-            amplitude = abs(state[1 + i, 0, 0])
-            for m in range(1, modes):
-                amplitude += 2 * math.sqrt(state[1 + i, 0, m] ** 2 + state[1 + i, 1, m] ** 2)
-            flight |= not square[i] * amplitude <= 1.0
+    for i in range(kinds):
+        amplitude = 0.0  # q + 1 <= the sum of its waves' amplitudes: where that says contact, nothing is left to clip
+        for m in range(uint64(modes)):
+            a, b = square[i] * state[1 + i, 0, m], square[i] * state[1 + i, 1, m]
+            waves[i, 0, m], waves[i, 1, m] = a, b
+            amplitude += 2 * math.sqrt(a * a + b * b)
+        flight |= lift_off and not amplitude - abs(waves[i, 0, 0]) <= 1.0
+        waves[i, 0, 0] -= 1.0
     if varying or flight:
         for i in range(kinds):
-            single[:] = square[i] * state[1 + i]
-            single[0, 0] -= 1.0
-            _synthesise(single, cosine, sine, over[i])
-        if varying:
-            _synthesise(state[0], cosine, sine, height)
-            single[:] = curvature * state[0]
-            _synthesise(single, cosine, sine, bend)
-            at_points(height, bend, over, weight, laws, references, rate, excess)
-            _analyse(rate, cosine, sine, out)
+            _synthesise(waves[i], cosine, sine, over[i])
+    if varying:
+        _synthesise(state[0], cosine, sine, height)
+        waves[kinds] = curvature * state[0]
+        _synthesise(waves[kinds], cosine, sine, bend)
+        at_points(height, bend, over, weight, laws, references, rate, excess)
+        _analyse(rate, cosine, sine, out)
     if flight:
         for i in range(kinds):
-            single[:] = square[i] * state[1 + i]
-            single[0, 0] -= 1.0
-            count = roots_of(single, over[i], roots, signs)
+            count = roots_of(waves[i], over[i], roots, signs)
             if count > 0 or over[i, 0] > 0.0:
                 indicator(roots, signs, count, over[i, 0] > 0.0, series.shape[1], chi)
                 if varying:
                     _analyse(excess[i], cosine, sine, series)
                 else:  # alpha is the same everywhere
-                    series[:] = references[0] * weight[i] * single
+                    series[:] = references[0] * weight[i] * waves[i]
                 subtract_masked(out, chi, series)
     out[0, 0] -= references[0] * weight.sum()
 
@@ -248,10 +252,26 @@ def parts(waves):
 
 
 @njit(**COMPILE)
-def _add_product(total, a, b):
-    for m in range(total.shape[1]):
-        total[0, m] += a[0, m] * b[0, m] - a[1, m] * b[1, m]
-        total[1, m] += a[0, m] * b[1, m] + a[1, m] * b[0, m]
+def _polynomial(stage, rates, known):
+    """The polynomial of N in a stage, (3, 2, modes), from the rates (4, 2, modes)."""
+    for p in range(POLYNOMIAL.shape[1]):
+        f0, f1, f2, f3 = POLYNOMIAL[stage, p]
+        for c in range(2):
+            r0, r1, r2, r3, to = rates[0, c], rates[1, c], rates[2, c], rates[3, c], known[p, c]
+            for m in range(uint64(to.size)):
+                to[m] = f0 * r0[m] + f1 * r1[m] + f2 * r2[m] + f3 * r3[m]
+
+
+@njit(**COMPILE)
+def _product(matrix, known, total):
+    """total (2, modes) = sum over j of matrix (j, 2, modes) times known (j, 2, modes), as complex numbers."""
+    total[:] = 0.0
+    real, imag = total[0], total[1]
+    for j in range(known.shape[0]):
+        a, b, c, d = matrix[j, 0], matrix[j, 1], known[j, 0], known[j, 1]
+        for m in range(uint64(real.size)):
+            real[m] += a[m] * c[m] - b[m] * d[m]
+            imag[m] += a[m] * d[m] + b[m] * c[m]
 
 
 @njit(**COMPILE)
@@ -270,20 +290,17 @@ def advance(waves, half, full, steps, curvature, square, weight, laws, reference
     middle, end = np.empty((2, size, size + powers, 2, modes))
     for i in range(size):
         middle[i], end[i] = parts(half[i]), parts(full[i])
+    looked_at = 0 if switches[0] else 1, 1 + weight.size  # rows of a stage that its remainder depends on
     for _ in range(steps):
         if not math.isfinite(stage[0, 0, 0]):
             waves[:] = np.nan
             return
         for s in range(4):
             remainder(stage, curvature, square, weight, laws, references, switches, cosine, sine, work, rates[s])
-            used = (1, 2, 2, 3)[s]
-            for p in range(used):
-                known[size + p] = 0.0
-                for r in range(s + 1):
-                    known[size + p] += POLYNOMIAL[s, p, r] * rates[r]
-            stage[:] = 0.0
-            for i in range(size):
-                for j in range(size + used):
-                    _add_product(stage[i], middle[i, j] if s < 2 else end[i, j], known[j])
+            _polynomial(s, rates, known[size:])
+            matrix, rows = middle if s < 2 else end, looked_at if s < 3 else (0, size)
+            used = size + (1, 2, 2, 3)[s]
+            for i in range(rows[0], rows[1]):
+                _product(matrix[i], known[:used], stage[i])
         known[:size] = stage
     waves.real[:], waves.imag[:] = stage[:, 0], stage[:, 1]

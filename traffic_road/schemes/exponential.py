@@ -81,9 +81,10 @@ def exponentials(matrices):
             power[i, i] = 1.0
         for degree in range(DEGREE, 0, -1):  # Horner: I + A/1 (I + A/2 (I + ...))
             _multiply(scaled, power, product)
+            share = 1.0 / degree
             for i in range(size):
                 for j in range(size):
-                    power[i, j] = product[i, j] / degree
+                    power[i, j] = product[i, j] * share
                 power[i, i] += 1.0
         for _ in range(squarings):
             _multiply(power, power, product)
