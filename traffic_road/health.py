@@ -15,7 +15,7 @@ import numpy as np
 from .errors import TrafficRoadError
 from .laws import Constant
 from .theory.dispersion import dispersion, fleet_dispersion
-from .theory.stability import gain, neutral_softness, unstable
+from .theory.stability import neutral_softness, unstable
 from .theory.waves import saturation_limit
 
 RUNAWAY = 1e12  # corrugation (g/omega_0^2) beyond which the road has blown up and rounding eats what is left
@@ -141,14 +141,8 @@ def foreseen(scene) -> str | None:
         return None
     wave = 2 * np.abs(np.fft.rfft(road.profile.sample(road.length, 2 * highest + 1), norm="forward"))[1:]
     k = 2 * np.pi / road.length * np.arange(1, highest + 1)
-    # the limit is twice the neutral softness or more: 1.5 times its leading order is a test that costs nothing,
-    candidate = (wave > 1e-14 * wave.max(initial=0.0)) & (
-        alpha * gain(k * unit.length, damping) > 1.5 * delta * (k * unit.length) ** 2
-    )
-    if not candidate.any():
-        return None
-    # twice the exact one a test that costs little
-    candidate[candidate] = unstable(k[candidate] * unit.length, alpha / 2, delta, damping)
+    # the limit is twice the neutral softness or more
+    candidate = (wave > 1e-14 * wave.max(initial=0.0)) & unstable(k * unit.length, alpha / 2, delta, damping)
     if not candidate.any():
         return None
     k, wave = k[candidate], wave[candidate]

@@ -10,8 +10,9 @@ from numpy.fft import irfft, rfft  # less overhead a call than scipy.fft on the 
 
 from ..laws import Constant
 from ..schemes.exponential import doubled, eigenvectors, exact, krogstad, stays_below
-from ..schemes.oscillator import settled
+from ..schemes.oscillator import settled_waves
 from . import continuum_kernels as kernels
+from . import continuum_waves as waves
 
 OVERSAMPLING = 4
 FEW_NODES = 512  # up to which compiled sums over the waves take the place of transforms, and the clip is exact
@@ -58,6 +59,7 @@ class Start(NamedTuple):
     """What a scene on a grid begins with; not to be changed."""
 
     kinds: Kinds
+    spectrum: np.ndarray  # of the profile on the grid, with the wave of two nodes
     state: np.ndarray  # H, then Y of each kind, then P of each kind, shape (1 + 2 kinds, modes)
     alpha: float
     delta: float
@@ -68,17 +70,25 @@ class Start(NamedTuple):
 @np.errstate(all="ignore")  # here and below: what overflows stays non-finite, without a warning
 def start(scene, nodes: int) -> Start:
     road, fleet, kinds = scene.road, scene.fleet, Kinds.of(scene.fleet)
+    count = len(kinds.speed)
     height = road.profile.sample(road.length, nodes)
-    fields = np.zeros((1 + 2 * len(kinds.speed), nodes))
-    fields[0] = height
+    spectrum = rfft(height, norm="forward")
+    state = np.zeros((1 + 2 * count, modes(nodes)), dtype=complex)
+    state[0] = wave = spectrum[: modes(nodes)]
     if fleet.start == "settled":
-        sink_rate = float(road.softness(height.mean()) * kinds.weight.sum())
-        cars = zip(*(value[:, 0] for value in kinds[:3]), strict=True)
-        Z, P = np.moveaxis([settled(height, road.length, *car, sink_rate) for car in cars], 1, 0)
-        fields[1:] = np.concatenate((Z - height, P))
-    state = rfft(fields, norm="forward")[:, : modes(nodes)]
+        (number,) = present(wave).nonzero()
+        Z, P = settled_waves(wave[number], number, road.length, *kinds[:3])
+        state[1 : 1 + count, number] = Z - wave[number]
+        state[1 + count :, number] = P
+        state[1 + count :, 0] -= float(road.softness(height.mean()) * kinds.weight.sum())  # with the sinking road
     alpha, delta = references(road, state, nodes)
-    return Start(kinds, state, alpha, delta, linear_part(kinds, _wavenumbers(road, nodes), alpha, delta))
+    return Start(kinds, spectrum, state, alpha, delta, linear_part(kinds, _wavenumbers(road, nodes), alpha, delta))
+
+
+def present(wave: np.ndarray) -> np.ndarray:
+    """Which of the waves (modes,) are more than rounding."""
+    size = np.abs(wave)
+    return size > 1e-14 * size.max()
 
 
 def _wavenumbers(road, nodes: int) -> np.ndarray:
@@ -87,24 +97,8 @@ def _wavenumbers(road, nodes: int) -> np.ndarray:
 
 def linear_part(kinds: Kinds, k: np.ndarray, alpha: float, delta: float) -> tuple[np.ndarray, np.ndarray]:
     """The linear part: the matrix of every wave, (modes, size, size), and where the remainder acts, (size,)."""
-    n = len(kinds.speed)
-    speed, omega, damping = (value[:, 0] for value in kinds[:3])
-    H, Y, P = 0, np.arange(1, n + 1), np.arange(n + 1, 2 * n + 1)
-    ik = 1j * k[:, None]
-    road = np.zeros((k.size, 1 + 2 * n), dtype=complex)  # dH/dt, a row of the system
-    road[:, H] = -delta * k**2
-    road[:, Y] = alpha * kinds.weight[:, 0] * omega**2
-    system = np.zeros((*road.shape, 1 + 2 * n), dtype=complex)
-    system[:, Y, Y] = -ik * speed - 2 * damping * omega
-    system[:, Y, P] = 1.0
-    system[:, Y, H] = -ik * speed
-    system[:, Y] -= road[:, None]
-    system[:, P, Y] = -(omega**2)
-    system[:, P, P] = -ik * speed
-    system[:, H] = road
-    source = np.zeros(1 + 2 * n)  # what moves the road moves it relative to the cars
-    source[H], source[Y] = 1.0, -1.0
-    return system, source
+    speed, frequency, damping = (value[:, 0] for value in kinds[:3])
+    return waves.linear_part(k, speed, frequency, damping, kinds.weight[:, 0], alpha, delta)
 
 
 def references(road, state, nodes: int) -> tuple[float, float]:
@@ -123,28 +117,17 @@ def linear_throughout(scene, nodes: int, duration: float) -> bool:
 
 
 def left_by_rounding(scene, road_height, time: float) -> float:
-    """Root mean square error, mean removed, at `time` of a run without steps, exact but for the rounding of numbers.
-
-    Waves that the profile has not are nothing but that, grown. The others begin with the profile's, relative to them, and
-    the exponential of L t is off as if L were by a rounding of its norm, which acts on a car's state, too.
-    """
-    nodes, eps = road_height.size, np.finfo(float).eps
-    begin = start(scene, nodes)
-    wave = np.abs(rfft(road_height, norm="forward"))[1 : begin.state.shape[1]]
-    first = np.abs(begin.state[:, 1:])
-    error, highest = wave.copy(), first[0].max(initial=0.0)
-    present = np.flatnonzero(first[0] > 1e-14 * highest)
-    norm = np.abs(begin.linear[0][present + 1]).sum(axis=2).max(axis=1)
-    state = np.linalg.norm(first[:, present], axis=0)
-    error[present] *= np.minimum(1.0, eps * (highest + time * norm * state) / first[0, present])
-    return float(np.sqrt(2) * np.linalg.norm(error))
+    """Root mean square error, mean removed, at `time` of a run without steps, exact but for the rounding of numbers."""
+    nodes = road_height.size
+    begin, wave = start(scene, nodes), rfft(road_height, norm="forward")[: modes(nodes)]
+    return waves.left_by_rounding(wave, begin.state, begin.linear[0], time)
 
 
 class Continuum:
     """The state of cars and road, (1 + 2 kinds, modes), and how it moves on."""
 
     def __init__(self, scene, nodes: int):
-        self.kinds, state, self.alpha, self.delta, self.linear = start(scene, nodes)
+        self.kinds, _, state, self.alpha, self.delta, self.linear = start(scene, nodes)
         kinds, self.road = self.kinds, scene.road
         self.constant = constant(scene.road)
         self.lift_off = scene.lift_off
@@ -190,10 +173,10 @@ class Continuum:
             return False
         if self.decay is None:
             self.decay = eigenvectors(self.linear[0])
-        waves = self.state.copy()
-        waves[1 + self.count :, 0] += self.alpha * self.weight.sum()  # about cars at rest on a road that sinks
-        waves[0, 0] = 0.0
-        return stays_below(1 / self.square, self.decay, waves, Y, duration)
+        state = self.state.copy()
+        state[1 + self.count :, 0] += self.alpha * self.weight.sum()  # about cars at rest on a road that sinks
+        state[0, 0] = 0.0
+        return stays_below(1 / self.square, self.decay, state, Y, duration)
 
     def remainder(self, state: np.ndarray) -> np.ndarray:
         """N of every wave, the weight <m> of the cars included in the mean; shape (modes,)."""
@@ -207,8 +190,8 @@ class Continuum:
         # |Y| <= the sum of its waves' amplitudes: where that says contact, nothing is left to clip
         clip = self.lift_off and not np.all(self.square * 2 * np.abs(state[1 : 1 + self.count]).sum(axis=1) <= 1)
         if clip or not self.constant:
-            waves = np.concatenate((state[: 1 + self.count], -(self.k**2) * state[:1]))
-            height, *Y, bend = irfft(waves, n=self.fine, norm="forward")
+            series = np.concatenate((state[: 1 + self.count], -(self.k**2) * state[:1]))
+            height, *Y, bend = irfft(series, n=self.fine, norm="forward")
             over = self.square[:, None] * Y - 1
             rate, excess = np.empty_like(height), np.empty_like(over)
             kernels.at_points(height, bend, over, self.weight, self.laws, self.frozen(), rate, excess)
@@ -275,7 +258,8 @@ class Continuum:
     @np.errstate(all="ignore")
     def fields(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Road height, mean car height, mean of mass times contact force, on the nodes."""
-        height, *Y = irfft(self.state[: 1 + self.count], n=self.nodes, norm="forward")
+        fields = irfft(self.state[: 1 + self.count], n=self.nodes, norm="forward")
+        height, Y = fields[0], fields[1:]
         force = 1 - self.square[:, None] * Y
         if self.lift_off:
             force = np.maximum(0.0, force)
