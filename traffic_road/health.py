@@ -69,7 +69,7 @@ class Watch:
 
 def corrugation(road_height) -> float:
     """Highest less lowest node; NaN or infinite where a number has been lost."""
-    return float(np.max(road_height) - np.min(road_height))
+    return float(road_height.max() - road_height.min())
 
 
 class Growth(NamedTuple):
@@ -139,10 +139,12 @@ def foreseen(scene) -> str | None:
     highest = road.profile.highest_wave(road.length)
     if highest == 0 or damping == 0:
         return None
-    wave = 2 * np.abs(np.fft.rfft(road.profile.sample(road.length, 2 * highest + 1), norm="forward"))[1:]
     k = 2 * np.pi / road.length * np.arange(1, highest + 1)
-    # the limit is twice the neutral softness or more
-    candidate = (wave > 1e-14 * wave.max(initial=0.0)) & unstable(k * unit.length, alpha / 2, delta, damping)
+    candidate = unstable(k * unit.length, alpha / 2, delta, damping)  # the limit is twice the neutral softness or more
+    if not candidate.any():
+        return None
+    wave = 2 * np.abs(np.fft.rfft(road.profile.sample(road.length, 2 * highest + 1), norm="forward"))[1:]
+    candidate &= wave > 1e-14 * wave.max()
     if not candidate.any():
         return None
     k, wave = k[candidate], wave[candidate]

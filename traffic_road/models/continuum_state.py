@@ -32,6 +32,7 @@ class Kinds(NamedTuple):
     share: np.ndarray
 
     @classmethod
+    @lru_cache(maxsize=2)
     def of(cls, fleet) -> Kinds:
         cars = [getattr(fleet, name) for name in cls._fields[:-1]]
         if not any(isinstance(values, tuple) for values in cars):
@@ -236,7 +237,9 @@ class Continuum:
         """Take `duration` in one step: exact where the remainder is constant."""
         if duration != self.step:
             self.step, self.half, self.full = duration, None, exact(*self.linear, duration)
-        self.state = np.einsum("ijk,jk->ik", self.full[:, :-2], np.concatenate((self.state, self.at_rest()[None])))
+        size = len(self.state)
+        self.state = np.einsum("ijk,jk->ik", self.full[:, :size], self.state)
+        self.state[:, 0] -= self.full[:, size, 0] * (self.alpha * self.weight.sum())
 
     @np.errstate(all="ignore")
     def advance(self, step: float, steps: int) -> None:

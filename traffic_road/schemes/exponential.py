@@ -125,25 +125,37 @@ def stays_below(limit: np.ndarray, eigen: tuple, u: np.ndarray, rows: slice, dur
     which their phases part, and asks again. Where eigenvectors nearly coincide this finds no bound, never a false one.
     """
     rate, shape, inverse = eigen
-    count = np.full(rate.shape[0], 2.0)  # a wave and its conjugate
-    count[0] = 1.0
-    limit = limit * (1 - 1e-6)  # rounding
     term = shape[:, rows] * (inverse @ u.T[..., None]).swapaxes(1, 2)
-    rate = rate[:, None]
+    return _stays_below(limit * (1 - 1e-6), rate, term, duration)  # rounding
+
+
+@njit(cache=True, error_model="numpy")
+def _stays_below(limit, rate, term, duration):
+    """The same of exponentials `term` (systems, rows, size) that move at the `rate` (systems, size); changes `term`."""
     for _ in range(MOST_LOOKS):
-        largest = np.abs(term) * np.exp(np.maximum(rate.real, 0.0) * duration)
-        if np.all(count @ largest.sum(axis=-1) < limit):
-            return True
-        main = np.take_along_axis(rate + 0 * term, np.abs(term).argmax(axis=-1)[..., None], axis=-1)
-        parting = np.abs(term * (rate - main)) * np.exp(np.maximum((rate - main).real, 0.0) * LOOK)
-        growth = np.exp(np.maximum(main.real[..., 0], 0.0) * LOOK)
-        reach = (np.abs(term.sum(axis=-1)) + LOOK * parting.sum(axis=-1)) * growth
-        if not np.all(count @ reach < limit):
-            return False
-        term = term * np.exp(rate * LOOK)
+        below = within_reach = True
+        for row in range(limit.size):
+            largest = reach = 0.0
+            for s in range(rate.shape[0]):
+                count = 2.0 if s > 0 else 1.0  # a wave and its conjugate
+                some, total, main, parting = term[s, row], 0j, 0, 0.0
+                for j in range(some.size):
+                    size = abs(some[j])
+                    largest += count * size * math.exp(max(rate[s, j].real, 0.0) * duration)
+                    total += some[j]
+                    main = j if size > abs(some[main]) else main
+                for j in range(some.size):
+                    apart = rate[s, j] - rate[s, main]
+                    parting += abs(some[j] * apart) * math.exp(max(apart.real, 0.0) * LOOK)
+                    some[j] *= np.exp(rate[s, j] * LOOK)
+                reach += count * (abs(total) + LOOK * parting) * math.exp(max(rate[s, main].real, 0.0) * LOOK)
+            below &= largest < limit[row]
+            within_reach &= reach < limit[row]
         duration -= LOOK
-        if duration <= 0:
+        if below or (within_reach and duration <= 0):
             return True
+        if not within_reach:
+            return False
     return False
 
 
