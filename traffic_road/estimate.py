@@ -137,9 +137,10 @@ def _of_ripple(scene, numerics, last) -> float:
 def _distance(height: np.ndarray, other: np.ndarray) -> float:
     """Root mean square difference of two roads of the same ring on any two grids, mean removed."""
     a, b = (np.fft.rfft(h)[1:] * (np.sqrt(2) / h.size) for h in (height, other))
-    size = max(a.size, b.size)
-    a, b = (np.pad(w, (0, size - w.size)) for w in (a, b))
-    return float(np.linalg.norm(a - b))
+    if a.size < b.size:
+        a, b = b, a
+    a[: b.size] -= b
+    return float(np.linalg.norm(a))
 
 
 def corrugation_difference(height: np.ndarray, other: np.ndarray) -> float:

@@ -35,7 +35,9 @@ class Watch:
     def __init__(self, scene, outside: str | None = None):
         """outside: the stability limit that the run was started beyond, if any, for study: only RUNAWAY ends it."""
         self.scene, self.outside = scene, outside
-        self.start = float(1 / np.min(scene.fleet.frequency) ** 2)  # and the profile, from the first look that needs it
+        frequency = scene.fleet.frequency
+        slowest = min(frequency) if isinstance(frequency, tuple) else frequency
+        self.start = 1 / slowest**2  # and the profile, from the first look that needs it
         self.most = RUNAWAY if outside else min(ALARM * self.start, RUNAWAY)
         self.knows_profile = bool(outside)
         self.growth: Growth | None = None

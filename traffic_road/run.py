@@ -75,7 +75,8 @@ def simulate(
     if model == "auto":
         chosen = asdict(plan(replace(scene, duration=float(times[-1])), tolerance, **numerics))
         model = chosen["model"]
-    job = Job(scene, model, tolerance, numerics, times, chosen)
+    even = np.ndim(samples) == 0 or np.array_equal(times, _times(scene, times.size))
+    job = Job(scene, model, tolerance, numerics, times, even, chosen)
     if output is None and checkpoint is None:
         return _run(Memory(job), progress, allow_unstable)
     disk = Disk(job, output, checkpoint, every)
@@ -137,7 +138,7 @@ def rerun(ds, **changes) -> xr.Dataset:
 
 
 def _run(keeper, progress, allow_unstable):
-    scene, name, tolerance, given, times, chosen = keeper.job
+    scene, name, tolerance, given, times, even, chosen = keeper.job
     module = model(name)
     outside = None
     try:
@@ -191,7 +192,7 @@ def _run(keeper, progress, allow_unstable):
         "error_wall_time": estimate_time,
         "updates": last.updates,
         "status": status,
-        "samples": times.size if np.array_equal(times, _times(scene, times.size)) else times,
+        "samples": times.size if even else times,
     }
     if chosen:
         outcome |= {

@@ -40,7 +40,10 @@ KEYWORDS = ("nodes", "step")
 PAIR_RATIO = 2.0  # a pair of runs differs by 3 times the error of the better one at order 2, by more at order 4
 LARGEST = 2e9  # multiplications in one product of all matrices: about a minute for a rebuild
 MOST_STEPS = 1e10
-FIRST_BATCH, LONGEST_BATCH = 4096, 0.05  # nodes' steps taken at a time: at first, and in fewer seconds than that doubled
+FIRST_BATCH, LONGEST_BATCH = (
+    4096,
+    0.05,
+)  # nodes' steps taken at a time: at first, and in fewer seconds than that doubled
 
 
 def numerics(scene, given: dict) -> dict:
@@ -84,7 +87,9 @@ def numerics(scene, given: dict) -> dict:
 
 def coarser(scene, numerics: dict) -> dict:
     """Twice the step and half the nodes, but no fewer nodes than the profile needs."""
-    return {"nodes": max(numerics["nodes"] // 2, _least_nodes(scene)), "step": 2 * numerics["step"]}
+    (waves,) = present(start(scene, numerics["nodes"]).spectrum).nonzero()
+    least = 2 * waves[-1] + 1 if waves.size else 1
+    return {"nodes": max(numerics["nodes"] // 2, int(least)), "step": 2 * numerics["step"]}
 
 
 def finer(scene, numerics: dict, given: dict) -> dict:

@@ -164,10 +164,11 @@ def indicator(roots, signs, count, begins_positive, modes, chi):
     for r in range(count):
         total -= signs[r] * roots[r] / (2 * math.pi)
         turn = complex(math.cos(roots[r]), -math.sin(roots[r]))
-        rotated = signs[r] / (2j * math.pi) * turn
+        rotated = -0.5j * signs[r] / math.pi * turn
         for j in range(1, chi.shape[1] - modes):
-            chi[0, modes + j] += rotated.real / j
-            chi[1, modes + j] += rotated.imag / j
+            share = 1.0 / j
+            chi[0, modes + j] += rotated.real * share
+            chi[1, modes + j] += rotated.imag * share
             rotated *= turn
     chi[0, modes] = total
     for j in range(1, modes + 1):
@@ -253,8 +254,8 @@ def parts(waves):
 
 @njit(**COMPILE)
 def _polynomial(stage, rates, known):
-    """The polynomial of N in a stage, (3, 2, modes), from the rates (4, 2, modes)."""
-    for p in range(POLYNOMIAL.shape[1]):
+    """The polynomial of N in a stage, (powers, 2, modes), from the rates (4, 2, modes)."""
+    for p in range(known.shape[0]):
         f0, f1, f2, f3 = POLYNOMIAL[stage, p]
         for c in range(2):
             r0, r1, r2, r3, to = rates[0, c], rates[1, c], rates[2, c], rates[3, c], known[p, c]
@@ -297,9 +298,9 @@ def advance(waves, half, full, steps, curvature, square, weight, laws, reference
             return
         for s in range(4):
             remainder(stage, curvature, square, weight, laws, references, switches, cosine, sine, work, rates[s])
-            _polynomial(s, rates, known[size:])
-            matrix, rows = middle if s < 2 else end, looked_at if s < 3 else (0, size)
             used = size + (1, 2, 2, 3)[s]
+            _polynomial(s, rates, known[size:used])
+            matrix, rows = middle if s < 2 else end, looked_at if s < 3 else (0, size)
             for i in range(rows[0], rows[1]):
                 _product(matrix[i], known[:used], stage[i])
         known[:size] = stage

@@ -23,7 +23,7 @@ TOO_LARGE = 1e100  # a law on its way to overflow: the matrices of the last sane
 
 
 class Kinds(NamedTuple):
-    """The distinct kinds of car and their shares of the fleet, each (kinds, 1)."""
+    """The distinct kinds of car and their shares of the fleet, each (kinds,)."""
 
     speed: np.ndarray
     frequency: np.ndarray
@@ -36,10 +36,10 @@ class Kinds(NamedTuple):
     def of(cls, fleet) -> Kinds:
         cars = [getattr(fleet, name) for name in cls._fields[:-1]]
         if not any(isinstance(values, tuple) for values in cars):
-            return cls(*np.array(cars)[:, None, None], np.ones((1, 1)))
+            return cls(*np.array(cars)[:, None], np.ones(1))
         cars = np.column_stack([fleet.per_car(name) for name in cls._fields[:-1]])
         kinds, count = np.unique(cars, axis=0, return_counts=True)
-        return cls(*kinds.T[..., None], count[:, None] / fleet.count)
+        return cls(*np.ascontiguousarray(kinds.T), count / fleet.count)
 
     @property
     def weight(self) -> np.ndarray:
@@ -60,46 +60,34 @@ class Start(NamedTuple):
     """What a scene on a grid begins with; not to be changed."""
 
     kinds: Kinds
+    k: np.ndarray  # wavenumbers, (modes,)
     spectrum: np.ndarray  # of the profile on the grid, with the wave of two nodes
     state: np.ndarray  # H, then Y of each kind, then P of each kind, shape (1 + 2 kinds, modes)
     alpha: float
     delta: float
-    linear: tuple[np.ndarray, np.ndarray]  # of `linear_part`
+    linear: tuple[np.ndarray, np.ndarray]  # of `waves.linear_part`
 
 
 @lru_cache(maxsize=2)  # asked for by `numerics`, and again by the run that follows
 @np.errstate(all="ignore")  # here and below: what overflows stays non-finite, without a warning
 def start(scene, nodes: int) -> Start:
-    road, fleet, kinds = scene.road, scene.fleet, Kinds.of(scene.fleet)
-    count = len(kinds.speed)
-    height = road.profile.sample(road.length, nodes)
-    spectrum = rfft(height, norm="forward")
-    state = np.zeros((1 + 2 * count, modes(nodes)), dtype=complex)
-    state[0] = wave = spectrum[: modes(nodes)]
-    if fleet.start == "settled":
-        (number,) = present(wave).nonzero()
-        Z, P = settled_waves(wave[number], number, road.length, *kinds[:3])
-        state[1 : 1 + count, number] = Z - wave[number]
-        state[1 + count :, number] = P
-        state[1 + count :, 0] -= float(road.softness(height.mean()) * kinds.weight.sum())  # with the sinking road
+    road, kinds = scene.road, Kinds.of(scene.fleet)
+    spectrum = rfft(road.profile.sample(road.length, nodes), norm="forward")
+    k = 2 * np.pi / road.length * np.arange(modes(nodes))
+    state = np.zeros((1 + 2 * len(kinds.speed), k.size), dtype=complex)
+    state[0] = spectrum[: k.size]
     alpha, delta = references(road, state, nodes)
-    return Start(kinds, spectrum, state, alpha, delta, linear_part(kinds, _wavenumbers(road, nodes), alpha, delta))
+    if scene.fleet.start == "settled" and not waves.settle(state, k, *kinds[:3], alpha * kinds.weight.sum()):
+        settled_waves(
+            state[0], np.arange(k.size), road.length, *(value[:, None] for value in kinds[:3])
+        )  # says why not
+    return Start(kinds, k, spectrum, state, alpha, delta, waves.linear_part(k, *kinds[:3], kinds.weight, alpha, delta))
 
 
 def present(wave: np.ndarray) -> np.ndarray:
     """Which of the waves (modes,) are more than rounding."""
     size = np.abs(wave)
     return size > 1e-14 * size.max()
-
-
-def _wavenumbers(road, nodes: int) -> np.ndarray:
-    return 2 * np.pi / road.length * np.arange(modes(nodes))
-
-
-def linear_part(kinds: Kinds, k: np.ndarray, alpha: float, delta: float) -> tuple[np.ndarray, np.ndarray]:
-    """The linear part: the matrix of every wave, (modes, size, size), and where the remainder acts, (size,)."""
-    speed, frequency, damping = (value[:, 0] for value in kinds[:3])
-    return waves.linear_part(k, speed, frequency, damping, kinds.weight[:, 0], alpha, delta)
 
 
 def references(road, state, nodes: int) -> tuple[float, float]:
@@ -128,14 +116,13 @@ class Continuum:
     """The state of cars and road, (1 + 2 kinds, modes), and how it moves on."""
 
     def __init__(self, scene, nodes: int):
-        self.kinds, _, state, self.alpha, self.delta, self.linear = start(scene, nodes)
+        self.kinds, self.k, _, state, self.alpha, self.delta, self.linear = start(scene, nodes)
         kinds, self.road = self.kinds, scene.road
         self.constant = constant(scene.road)
         self.lift_off = scene.lift_off
         self.nodes, self.fine = nodes, OVERSAMPLING * nodes
-        self.k = _wavenumbers(scene.road, nodes)
         self.count = len(kinds.speed)
-        self.square, self.weight = kinds.frequency[:, 0] ** 2, kinds.weight[:, 0]
+        self.square, self.weight = kinds.frequency**2, kinds.weight
         self.state, self.step = state.copy(), 0.0
         self.few = nodes <= (FEW_NODES if self.constant else FEW_NODES_VARYING)
         self.laws = np.array([*scene.road.softness.kernel, *scene.road.diffusivity.kernel], dtype=float)
@@ -157,7 +144,7 @@ class Continuum:
         """Be as `leave` left it."""
         self.state = left["state"].copy()
         self.alpha, self.delta = left["alpha"], left["delta"]
-        self.linear = linear_part(self.kinds, self.k, self.alpha, self.delta)
+        self.linear = waves.linear_part(self.k, *self.kinds[:3], self.weight, self.alpha, self.delta)
         if left["leapt"]:
             self.step, self.half, self.full = left["step"], None, exact(*self.linear, left["step"])
         else:
@@ -228,7 +215,7 @@ class Continuum:
         drifted = drifted and max(alpha, delta) < TOO_LARGE
         if drifted:
             self.alpha, self.delta = alpha, delta
-            self.linear = linear_part(self.kinds, self.k, self.alpha, self.delta)
+            self.linear = waves.linear_part(self.k, *self.kinds[:3], self.weight, self.alpha, self.delta)
         if drifted or step != self.step or self.half is None:
             self.build(step)
 
@@ -261,9 +248,5 @@ class Continuum:
     @np.errstate(all="ignore")
     def fields(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Road height, mean car height, mean of mass times contact force, on the nodes."""
-        fields = irfft(self.state[: 1 + self.count], n=self.nodes, norm="forward")
-        height, Y = fields[0], fields[1:]
-        force = 1 - self.square[:, None] * Y
-        if self.lift_off:
-            force = np.maximum(0.0, force)
-        return height, height + self.kinds.share[:, 0] @ Y, self.weight @ force
+        values = irfft(self.state[: 1 + self.count], n=self.nodes, norm="forward")
+        return waves.fields(values, self.square, self.kinds.share, self.weight, self.lift_off)

@@ -41,6 +41,39 @@ def linear_part(k, speed, frequency, damping, weight, alpha, delta):
 
 
 @njit(**COMPILE)
+def settle(state, k, speed, frequency, damping, sink_rate):
+    """Give the cars of `state` (size, modes) their periodic response to its road; False where one is in resonance with it.
+
+    Wave by wave that of `schemes.oscillator.settled`, with Y = kappa^2/D h; waves that are rounding are left out.
+    """
+    road, kinds = state[0], speed.size
+    least = 1e-14 * np.abs(road).max()
+    for i in range(kinds):
+        for m in range(k.size):
+            kappa = k[m] * speed[i] / frequency[i]
+            denominator = 1 - kappa**2 + 2j * damping[i] * kappa
+            if abs(road[m]) > least:
+                if abs(denominator) < 1e-9:
+                    return False
+                state[1 + i, m] = kappa**2 / denominator * road[m]
+                state[1 + kinds + i, m] = 1j * frequency[i] * kappa / denominator * road[m]
+        state[1 + kinds + i, 0] -= sink_rate  # the road sinks steadily under the car
+    return True
+
+
+@njit(**COMPILE)
+def fields(values, square, share, weight, lift_off):
+    """Road height, mean car height and mean force on the nodes, each (nodes,), from `values`, H and Y (1 + kinds, nodes)."""
+    height, car, force = values[0].copy(), values[0].copy(), np.zeros(values.shape[1])
+    for i in range(weight.size):
+        for j in range(force.size):
+            car[j] += share[i] * values[1 + i, j]
+            load = 1.0 - square[i] * values[1 + i, j]
+            force[j] += weight[i] * (0.0 if lift_off and load < 0.0 else load)
+    return height, car, force
+
+
+@njit(**COMPILE)
 def left_by_rounding(wave, begin, system, time):
     """Root mean square error of `wave` (modes,), the road at `time` by one exponential of `system` for each of its waves.
 

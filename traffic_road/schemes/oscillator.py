@@ -109,7 +109,9 @@ def settled_at(node, road_height, length: float, speed, frequency, damping, sink
     at_once = MOST_TERMS // max(1, number.size) + 1
     for first in range(0, len(node), at_once):
         some = slice(first, first + at_once)
-        Z, P = settled_waves(wave * weight, number, length, speed[some, None], frequency[some, None], damping[some, None])
+        Z, P = settled_waves(
+            wave * weight, number, length, speed[some, None], frequency[some, None], damping[some, None]
+        )
         phase = turn[node[some, None] * number % nodes]
         height[some], momentum[some] = (Z * phase).real.sum(axis=1), (P * phase).real.sum(axis=1)
     return height, momentum - sink_rate
