@@ -72,7 +72,7 @@ def describe(name: str) -> dict:
 
 def variable(name: str, dims, values) -> xr.Variable:
     """One variable of the table, with its attributes."""
-    return xr.Variable(dims, values, describe(name))
+    return xr.Variable((dims,) if isinstance(dims, str) else dims, np.asarray(values), describe(name), fastpath=True)
 
 
 def origin() -> dict:
@@ -124,11 +124,7 @@ def dataset(scene: Scene, model: str, numerics: dict, columns: dict, outcome: di
     if cars:
         axes["car"] = np.arange(columns["car_position"].shape[1], dtype=np.int32)
     # what xr.Dataset(variables, axes, attributes) comes to, in a fifth of its time: nothing here needs to be aligned
-    variables = {
-        name: xr.Variable(dims.get(name, on), values, describe(name), fastpath=True)
-        for name, values in columns.items()
-        if name != "time"
-    }
+    variables = {name: variable(name, dims.get(name, on), columns[name]) for name in columns if name != "time"}
     indexes = {}
     for name, values in axes.items():
         index = pd.Index(values, name=name)

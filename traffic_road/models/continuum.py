@@ -132,7 +132,8 @@ def samples(scene, times, numerics: dict, state: dict | None = None):
         if time > now and not left:
             steps = max(1, int(np.ceil((time - now) / numerics["step"] * (1 - 1e-12))))
             updates += steps * numerics["nodes"]
-            linear = always_linear or continuum.stays_linear(time - now)
+            # not asked again for the whole run
+            linear = always_linear or (time - now < times[-1] and continuum.stays_linear(time - now))
             steps = left = 1 if linear else steps
             length = (time - now) / steps
             if abs(length - continuum.step) * steps <= 8 * np.finfo(float).eps * time:

@@ -224,9 +224,7 @@ class Continuum:
         """Take `duration` in one step: exact where the remainder is constant."""
         if duration != self.step:
             self.step, self.half, self.full = duration, None, exact(*self.linear, duration)
-        size = len(self.state)
-        self.state = np.einsum("ijk,jk->ik", self.full[:, :size], self.state)
-        self.state[:, 0] -= self.full[:, size, 0] * (self.alpha * self.weight.sum())
+        self.state = waves.leap(self.state, self.full, -self.alpha * self.weight.sum())
 
     @np.errstate(all="ignore")
     def advance(self, step: float, steps: int) -> None:

@@ -62,6 +62,19 @@ def settle(state, k, speed, frequency, damping, sink_rate):
 
 
 @njit(**COMPILE)
+def leap(state, full, rest):
+    """`state` (size, modes) one `schemes.exponential.exact` step `full` on, while the remainder is `rest`, of the mean."""
+    size, modes = state.shape
+    after = np.zeros_like(state)
+    for i in range(size):
+        for j in range(size):
+            for m in range(modes):
+                after[i, m] += full[i, j, m] * state[j, m]
+        after[i, 0] += full[i, size, 0] * rest
+    return after
+
+
+@njit(**COMPILE)
 def fields(values, square, share, weight, lift_off):
     """Road height, mean car height and mean force on the nodes, each (nodes,), from `values`, H and Y (1 + kinds, nodes)."""
     height, car, force = values[0].copy(), values[0].copy(), np.zeros(values.shape[1])
