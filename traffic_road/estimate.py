@@ -8,6 +8,7 @@ road, which one car on a ring of one headway shows. Elsewhere a second run of al
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -19,6 +20,7 @@ from .models.continuum_state import left_by_rounding, linear_throughout
 from .scene import Fleet, Road
 from .theory.floquet import floquet_modes
 
+EPS = float(np.finfo(float).eps)
 STRONGEST = 8  # waves of the final road that stand for all of them, or fewer whose share of it is
 SHARE = 1 - 1e-6
 FINE_ROWS = 96  # nodes a headway up to which a matrix of twice as many is still cheap
@@ -31,7 +33,7 @@ def error_estimate(scene, name: str, numerics: dict, last: Sample, pair_ratio=No
     pair_ratio: of a plan that knows it, in place of the model's PAIR_RATIO.
     """
     module = model(name)
-    size = np.linalg.norm(last.road_height - last.road_height.mean()) / np.sqrt(last.road_height.size)
+    size = last.road_height.std()
     if name == "cars" and _is_linear(scene, numerics, last):
         error = np.hypot(_of_waves(scene, numerics, last), _of_ripple(scene, numerics, last))
         method = "growth rates and ripple, of the scheme and of a finer one"
@@ -52,10 +54,11 @@ def error_estimate(scene, name: str, numerics: dict, last: Sample, pair_ratio=No
             *_, second = module.samples(scene, np.array([0.0, last.time]), other)
             error = _distance(last.road_height, second.road_height) / ratio
             method = f"a second run at {times} the resolution"
-    reach = depth = np.abs(last.road_height).max()
+    high, low = float(last.road_height.max()), float(last.road_height.min())
+    reach = depth = max(high, -low)
     if name != "cars" or sink_rate(scene):  # the mean level is kept apart, and only the sample rounds at its depth
-        reach = min(depth, 1.0 + np.ptp(last.road_height))
-    rounding = np.finfo(float).eps * (depth + reach * np.sqrt(last.updates / last.road_height.size))
+        reach = min(depth, 1.0 + high - low)
+    rounding = EPS * (depth + reach * math.sqrt(last.updates / last.road_height.size))
     if size <= rounding:
         return 0.0, "none: the road is flat to rounding"
     return float((error + rounding) / size), method
@@ -134,9 +137,10 @@ def _of_ripple(scene, numerics, last) -> float:
 def _distance(height: np.ndarray, other: np.ndarray) -> float:
     """Root mean square difference of two roads of the same ring on any two grids, mean removed."""
     a, b = (np.fft.rfft(h)[1:] * (np.sqrt(2) / h.size) for h in (height, other))
-    size = max(a.size, b.size)
-    a, b = (np.pad(w, (0, size - w.size)) for w in (a, b))
-    return float(np.linalg.norm(a - b))
+    if a.size < b.size:
+        a, b = b, a
+    a[: b.size] -= b
+    return float(np.linalg.norm(a))
 
 
 def corrugation_difference(height: np.ndarray, other: np.ndarray) -> float:

@@ -15,7 +15,7 @@ import numpy as np
 from .errors import TrafficRoadError
 from .laws import Constant
 from .theory.dispersion import dispersion, fleet_dispersion
-from .theory.stability import gain, neutral_softness, unstable
+from .theory.stability import neutral_softness, unstable
 from .theory.waves import saturation_limit
 
 RUNAWAY = 1e12  # corrugation (g/omega_0^2) beyond which the road has blown up and rounding eats what is left
@@ -35,7 +35,9 @@ class Watch:
     def __init__(self, scene, outside: str | None = None):
         """outside: the stability limit that the run was started beyond, if any, for study: only RUNAWAY ends it."""
         self.scene, self.outside = scene, outside
-        self.start = float(1 / np.min(scene.fleet.frequency) ** 2)  # and the profile, from the first look that needs it
+        frequency = scene.fleet.frequency
+        slowest = min(frequency) if isinstance(frequency, tuple) else frequency
+        self.start = 1 / slowest**2  # and the profile, from the first look that needs it
         self.most = RUNAWAY if outside else min(ALARM * self.start, RUNAWAY)
         self.knows_profile = bool(outside)
         self.growth: Growth | None = None
@@ -69,7 +71,7 @@ class Watch:
 
 def corrugation(road_height) -> float:
     """Highest less lowest node; NaN or infinite where a number has been lost."""
-    return float(np.max(road_height) - np.min(road_height))
+    return float(road_height.max() - road_height.min())
 
 
 class Growth(NamedTuple):
@@ -139,16 +141,12 @@ def foreseen(scene) -> str | None:
     highest = road.profile.highest_wave(road.length)
     if highest == 0 or damping == 0:
         return None
-    wave = 2 * np.abs(np.fft.rfft(road.profile.sample(road.length, 2 * highest + 1), norm="forward"))[1:]
     k = 2 * np.pi / road.length * np.arange(1, highest + 1)
-    # the limit is twice the neutral softness or more: 1.5 times its leading order is a test that costs nothing,
-    candidate = (wave > 1e-14 * wave.max(initial=0.0)) & (
-        alpha * gain(k * unit.length, damping) > 1.5 * delta * (k * unit.length) ** 2
-    )
+    candidate = unstable(k * unit.length, alpha / 2, delta, damping)  # the limit is twice the neutral softness or more
     if not candidate.any():
         return None
-    # twice the exact one a test that costs little
-    candidate[candidate] = unstable(k[candidate] * unit.length, alpha / 2, delta, damping)
+    wave = 2 * np.abs(np.fft.rfft(road.profile.sample(road.length, 2 * highest + 1), norm="forward"))[1:]
+    candidate &= wave > 1e-14 * wave.max()
     if not candidate.any():
         return None
     k, wave = k[candidate], wave[candidate]

@@ -34,13 +34,16 @@ FIRST = 1.0  # seconds until the first netCDF file
 
 
 class Job(NamedTuple):
-    """What was asked for. `given`: numerics that were; `times`: of the samples; `plan`: that of model="auto", as a dict."""
+    """What was asked for. `given`: numerics that were; `times`: of the samples, `even`: whether their number tells them;
+    `plan`: that of model="auto", as a dict.
+    """
 
     scene: Scene
     model: str
     tolerance: float
     given: dict
     times: np.ndarray
+    even: bool
     plan: dict | None = None
 
     def facts(self) -> dict:
@@ -51,7 +54,13 @@ class Job(NamedTuple):
     def of(cls, facts: dict, times) -> Job:
         """The job whose `facts` these are."""
         return cls(
-            Scene.from_dict(facts["scene"]), facts["model"], facts["tolerance"], facts["given"], times, facts["plan"]
+            Scene.from_dict(facts["scene"]),
+            facts["model"],
+            facts["tolerance"],
+            facts["given"],
+            times,
+            facts["even"],
+            facts["plan"],
         )
 
 

@@ -6,6 +6,7 @@ derivative and `kernel`, the (kind, value, shape) triple by which the compiled l
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -26,22 +27,23 @@ def finite(
     remedy: str = "",
 ) -> float:
     """`value` as a float; SceneError if it is not a finite number > `above`, >= `least`, <= `most` in size."""
-    allowed = "a finite number"
-    if above is not None:
-        allowed += f" > {above:g}"
-    if least is not None:
-        allowed += f" >= {least:g}"
-    if most is not None:
-        allowed += f", at most {most:g} in size"
     try:
-        plain = np.asarray(value)
-        if plain.ndim or plain.dtype.kind not in "iufO":  # float() would take True, "1", b"1" and [1]
-            raise TypeError
+        if type(value) is not float:
+            plain = np.asarray(value)
+            if plain.ndim or plain.dtype.kind not in "iufO":  # float() would take True, "1", b"1" and [1]
+                raise TypeError
         number = float(value)
     except (TypeError, ValueError, OverflowError):
-        number = np.nan
+        number = math.nan
     low = (above is not None and number <= above) or (least is not None and number < least)
-    if not np.isfinite(number) or low or (most is not None and abs(number) > most):
+    if not math.isfinite(number) or low or (most is not None and abs(number) > most):
+        allowed = "a finite number"
+        if above is not None:
+            allowed += f" > {above:g}"
+        if least is not None:
+            allowed += f" >= {least:g}"
+        if most is not None:
+            allowed += f", at most {most:g} in size"
         raise SceneError(f"{name} = {shown(value)}: must be {allowed}{remedy and '; ' + remedy}")
     return number
 

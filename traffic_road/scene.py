@@ -6,6 +6,7 @@ frequency omega_0, speed v and mass 1.
 
 from __future__ import annotations
 
+import math
 import tomllib
 from dataclasses import MISSING, dataclass, field, fields
 from pathlib import Path
@@ -146,7 +147,8 @@ class Scene:
     @property
     def headway_time(self) -> float:
         """Mean time between passages of a point, L / sum of speeds."""
-        return self.road.length / float(self.fleet.per_car("speed").sum())
+        speed = self.fleet.speed
+        return self.road.length / (math.fsum(speed) if isinstance(speed, tuple) else self.fleet.count * speed)
 
     def to_dict(self) -> dict:
         """Plain numbers, strings, lists and dicts that rebuild the scene; what is None is left out."""

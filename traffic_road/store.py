@@ -11,6 +11,7 @@ import sys
 import tempfile
 import zlib
 from datetime import UTC, datetime
+from functools import lru_cache
 from importlib.metadata import version
 from pathlib import Path
 
@@ -71,18 +72,22 @@ def describe(name: str) -> dict:
 
 def variable(name: str, dims, values) -> xr.Variable:
     """One variable of the table, with its attributes."""
-    return xr.Variable(dims, values, describe(name))
+    return xr.Variable((dims,) if isinstance(dims, str) else dims, np.asarray(values), describe(name), fastpath=True)
 
 
 def origin() -> dict:
     """Dataset attributes that say by what a file was written, when, and by which conventions."""
-    command = shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]]).encode("ascii", "backslashreplace").decode()
     return {
         "Conventions": "CF-1.11",
         "source": f"traffic_road {VERSION}",
-        "history": f"{datetime.now(UTC):%Y-%m-%dT%H:%M:%SZ} {command}",
+        "history": f"{datetime.now(UTC):%Y-%m-%dT%H:%M:%SZ} {_command(tuple(sys.argv))}",
         "references": "J. A. Both, D. C. Hong and D. A. Kurtze, Corrugation of roads, Physica A 301 (2001) 545-559",
     }
+
+
+@lru_cache(maxsize=1)
+def _command(argv: tuple) -> str:
+    return shlex.join([Path(argv[0]).name, *argv[1:]]).encode("ascii", "backslashreplace").decode()
 
 
 def provenance(scene: Scene, title: str) -> dict:
@@ -105,7 +110,7 @@ def assemble(scene: Scene, model: str, numerics: dict, samples: list, outcome: d
     names = {"time": "time", "road_height": "road_height", "car_height": "car_height", "contact_force": "contact_force"}
     if samples[0].where is not None:
         names["car_position"] = "where"
-    columns = {name: np.stack([getattr(s, field) for s in samples]) for name, field in names.items()}
+    columns = {name: np.array([getattr(s, field) for s in samples]) for name, field in names.items()}
     return dataset(scene, model, numerics, columns, outcome)
 
 
@@ -123,7 +128,7 @@ def dataset(scene: Scene, model: str, numerics: dict, columns: dict, outcome: di
     indexes = {}
     for name, values in axes.items():
         index = pd.Index(values, name=name)
-        variables[name] = xr.IndexVariable(name, index, describe(name))
+        variables[name] = xr.IndexVariable((name,), index, describe(name), fastpath=True)
         indexes[name] = xr.indexes.PandasIndex(index, name, coord_dtype=values.dtype)
     attributes = provenance(scene, f"Corrugation of a road, {model} model")
     attributes |= {"model": model, "numerics": json.dumps(numerics)} | outcome

@@ -34,13 +34,16 @@ from ..errors import SceneError
 from ..laws import finite
 from ..memory import refuse_beyond_memory
 from . import Breath, Pace, Sample
-from .continuum_state import Continuum, Kinds, constant, linear_throughout, modes, start
+from .continuum_state import Continuum, Kinds, constant, linear_throughout, modes, present, start
 
 KEYWORDS = ("nodes", "step")
 PAIR_RATIO = 2.0  # a pair of runs differs by 3 times the error of the better one at order 2, by more at order 4
 LARGEST = 2e9  # multiplications in one product of all matrices: about a minute for a rebuild
 MOST_STEPS = 1e10
-FIRST_BATCH, LONGEST_BATCH = 16, 0.05  # steps taken at a time: from so few, doubled as long as they take fewer seconds
+FIRST_BATCH, LONGEST_BATCH = (
+    4096,
+    0.05,
+)  # nodes' steps taken at a time: at first, and in fewer seconds than that doubled
 
 
 def numerics(scene, given: dict) -> dict:
@@ -71,12 +74,10 @@ def numerics(scene, given: dict) -> dict:
         )
     size = 2 * len(kinds.speed) + 4  # four complex matrices a wave at most
     refuse_beyond_memory(4 * nodes * size**2, f"nodes = {nodes}", "use fewer nodes or a shorter ring")
-    height = scene.road.profile.sample(scene.road.length, nodes)
-    wave = np.abs(rfft(height, norm="forward"))
-    if nodes % 2 == 0 and wave[-1] > 1e-14 * wave.max():  # a wave of two nodes: where it moves cannot be told
-        raise SceneError(f"nodes = {nodes}: the profile has {nodes // 2} waves on the ring; use nodes >= {nodes + 1}")
     begin = start(scene, nodes)
-    if not np.isfinite([begin.alpha, begin.delta, np.abs(begin.state).sum()]).all():
+    if nodes % 2 == 0 and present(begin.spectrum)[-1]:  # a wave of two nodes: where it moves cannot be told
+        raise SceneError(f"nodes = {nodes}: the profile has {nodes // 2} waves on the ring; use nodes >= {nodes + 1}")
+    if not np.isfinite(begin.alpha + begin.delta + np.abs(begin.state).sum()):
         raise SceneError(
             f"Road: softness {begin.alpha:g} and diffusivity {begin.delta:g} at the start are too large; "
             f"use a lower value or hardening, or a lower profile"
@@ -86,7 +87,9 @@ def numerics(scene, given: dict) -> dict:
 
 def coarser(scene, numerics: dict) -> dict:
     """Twice the step and half the nodes, but no fewer nodes than the profile needs."""
-    return {"nodes": max(numerics["nodes"] // 2, _least_nodes(scene)), "step": 2 * numerics["step"]}
+    (waves,) = present(start(scene, numerics["nodes"]).spectrum).nonzero()
+    least = 2 * waves[-1] + 1 if waves.size else 1
+    return {"nodes": max(numerics["nodes"] // 2, int(least)), "step": 2 * numerics["step"]}
 
 
 def finer(scene, numerics: dict, given: dict) -> dict:
@@ -124,12 +127,13 @@ def samples(scene, times, numerics: dict, state: dict | None = None):
             state[k] for k in ("taken", "now", "updates", "steps", "left", "length")
         )
         continuum.take_up(state)
-    pace, batch = Pace(), FIRST_BATCH
+    pace, batch = Pace(), max(1, FIRST_BATCH // numerics["nodes"])
     for time in map(float, times[taken:]):
         if time > now and not left:
             steps = max(1, int(np.ceil((time - now) / numerics["step"] * (1 - 1e-12))))
             updates += steps * numerics["nodes"]
-            linear = always_linear or continuum.stays_linear(time - now)
+            # not asked again for the whole run
+            linear = always_linear or (time - now < times[-1] and continuum.stays_linear(time - now))
             steps = left = 1 if linear else steps
             length = (time - now) / steps
             if abs(length - continuum.step) * steps <= 8 * np.finfo(float).eps * time:

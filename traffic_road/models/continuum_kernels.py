@@ -16,13 +16,14 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from numba import uint64
 
 from ..compiled import njit
 from ..schemes.exponential import POLYNOMIAL
 from ..schemes.passage import softness
 
 COMPILE = {"cache": True, "error_model": "numpy", "fastmath": {"contract", "reassoc"}}  # NaN stays NaN
-MOST_ROOT_STEPS = 60  # Newton takes 3 or 4; bisection alone would take 50
+MOST_ROOT_STEPS = 60  # Halley takes 2 or 3; bisection alone would take 50
 
 
 @njit(**COMPILE)
@@ -61,19 +62,19 @@ def table(modes, points):
 def _synthesise(series, cosine, sine, values):
     values[:] = series[0, 0]
     for m in range(1, series.shape[1]):
-        a, b = series[0, m], series[1, m]
-        for j in range(values.size):
-            values[j] += a * cosine[m, j] + b * sine[m, j]
+        a, b, c, s = series[0, m], series[1, m], cosine[m], sine[m]
+        for j in range(uint64(values.size)):
+            values[j] += a * c[j] + b * s[j]
 
 
 @njit(**COMPILE)
 def _analyse(values, cosine, sine, series):
     base = values[0]  # taken off first, so that a uniform field has no waves but the mean
     for m in range(series.shape[1]):
-        a = b = 0.0
-        for j in range(values.size):
-            a += (values[j] - base) * cosine[m, j]
-            b += (values[j] - base) * sine[m, j]
+        a, b, c, s = 0.0, 0.0, cosine[m], sine[m]
+        for j in range(uint64(values.size)):
+            a += (values[j] - base) * c[j]
+            b += (values[j] - base) * s[j]
         share = 1.0 / values.size if m == 0 else 0.5 / values.size
         series[0, m], series[1, m] = a * share, b * share
     series[0, 0] += base
@@ -81,29 +82,31 @@ def _analyse(values, cosine, sine, series):
 
 @njit(**COMPILE)
 def _at(series, theta):
-    """The series and its derivative at the angle `theta`."""
+    """The series and its first two derivatives at the angle `theta`."""
     turn = complex(math.cos(theta), math.sin(theta))
-    rotated, value, slope = turn, 0.0, 0.0
+    rotated, value, slope, bend = turn, 0.0, 0.0, 0.0
     for m in range(1, series.shape[1]):
-        value += series[0, m] * rotated.real - series[1, m] * rotated.imag
+        wave = series[0, m] * rotated.real - series[1, m] * rotated.imag
+        value += wave
         slope -= m * (series[0, m] * rotated.imag + series[1, m] * rotated.real)
+        bend -= m * m * wave
         rotated *= turn
-    return series[0, 0] + 2.0 * value, 2.0 * slope
+    return series[0, 0] + 2.0 * value, 2.0 * slope, 2.0 * bend
 
 
 @njit(**COMPILE)
 def _root(series, low, high, at_low, at_high):
-    """The root between `low` and `high`, where the series differs in sign: Newton, kept in the bracket by bisection."""
+    """The root between `low` and `high`, where the series differs in sign: Halley, kept in the bracket by bisection."""
     rising = at_low <= 0.0
     theta = low + (high - low) * at_low / (at_low - at_high)
     for _ in range(MOST_ROOT_STEPS):
-        value, slope = _at(series, theta)
+        value, slope, bend = _at(series, theta)
         if (value > 0.0) == rising:
             high = theta
         else:
             low = theta
-        target = theta - value / slope
-        enough = 1e-9  # Newton's next correction is of the order of the square of this one
+        target = theta - 2.0 * value * slope / (2.0 * slope * slope - value * bend)
+        enough = 1e-7  # the next correction is of the order of the cube of this one
         if not low <= target <= high:
             target, enough = 0.5 * (low + high), 4e-16
         moved = abs(target - theta)
@@ -130,28 +133,28 @@ def roots_of(series, values, roots, signs):
     points = values.size
     width = 2 * math.pi / points
     count = 0
-    before, here, after = values[-1], values[0], values[1]
+    here, after = values[0], values[1]
+    shift_of_here = _beyond(values[-1], here, after)
     for j in range(points):
-        later = values[(j + 2) % points]
+        later = values[j + 2 - (points if j + 2 >= points else 0)]
+        shift_of_after = _beyond(here, after, later)
         low, high = j * width, (j + 1) * width
         if (here > 0.0) != (after > 0.0):
             roots[count] = _root(series, low, high, here, after)
             signs[count] = 1.0 if after > 0.0 else -1.0
             count += 1
         else:
-            shift = _beyond(before, here, after)
-            if not shift >= 0.0:
-                shift = 1.0 + _beyond(here, after, later)
+            shift = shift_of_here if shift_of_here >= 0.0 else 1.0 + shift_of_after
             if shift <= 1.0:
                 theta = low + shift * width
-                vertex, _ = _at(series, theta)
+                vertex, _, _ = _at(series, theta)
                 if (vertex > 0.0) != (here > 0.0):
                     roots[count] = _root(series, low, theta, here, vertex)
                     roots[count + 1] = _root(series, theta, high, vertex, after)
                     signs[count] = 1.0 if vertex > 0.0 else -1.0
                     signs[count + 1] = -signs[count]
                     count += 2
-        before, here, after = here, after, later
+        here, after, shift_of_here = after, later, shift_of_after
     return count
 
 
@@ -163,10 +166,11 @@ def indicator(roots, signs, count, begins_positive, modes, chi):
     for r in range(count):
         total -= signs[r] * roots[r] / (2 * math.pi)
         turn = complex(math.cos(roots[r]), -math.sin(roots[r]))
-        rotated = signs[r] / (2j * math.pi) * turn
+        rotated = -0.5j * signs[r] / math.pi * turn
         for j in range(1, chi.shape[1] - modes):
-            chi[0, modes + j] += rotated.real / j
-            chi[1, modes + j] += rotated.imag / j
+            share = 1.0 / j
+            chi[0, modes + j] += rotated.real * share
+            chi[1, modes + j] += rotated.imag * share
             rotated *= turn
     chi[0, modes] = total
     for j in range(1, modes + 1):
@@ -178,14 +182,12 @@ def subtract_masked(out, chi, series):
     """out_n -= sum over all m of chi_(n-m) series_m, where negative orders are the conjugates of positive ones."""
     modes = series.shape[1]
     for m in range(modes):
-        a, b = series[0, m], series[1, m]
-        for n in range(out.shape[1]):
-            out[0, n] -= a * chi[0, modes + n - m] - b * chi[1, modes + n - m]
-            out[1, n] -= a * chi[1, modes + n - m] + b * chi[0, modes + n - m]
-        if m > 0:
-            for n in range(out.shape[1]):
-                out[0, n] -= a * chi[0, modes + n + m] + b * chi[1, modes + n + m]
-                out[1, n] -= a * chi[1, modes + n + m] - b * chi[0, modes + n + m]
+        share = 1.0 if m > 0 else 0.5  # the mean is its own conjugate
+        a, b = share * series[0, m], share * series[1, m]
+        c, d, e, f = chi[0, modes - m :], chi[1, modes - m :], chi[0, modes + m :], chi[1, modes + m :]
+        for n in range(uint64(out.shape[1])):
+            out[0, n] -= a * (c[n] + e[n]) - b * (d[n] - f[n])
+            out[1, n] -= a * (d[n] + f[n]) + b * (c[n] - e[n])
 
 
 @njit(**COMPILE)
@@ -195,46 +197,49 @@ def workspace(modes, kinds, cosine, varying):
     # a law that varies along the road spreads alpha q over all waves of the grid
     series = np.empty((2, cosine.shape[0] if varying else modes))
     chi = np.empty((2, modes + 2 * series.shape[1]))
-    return series, np.empty((2, modes)), chi, np.zeros((3 + 2 * kinds, points)), np.empty((2, 2 * points))
+    return series, np.empty((1 + kinds, 2, modes)), chi, np.zeros((3 + 2 * kinds, points)), np.empty((2, 2 * points))
 
 
 @njit(**COMPILE)
 def remainder(state, curvature, square, weight, laws, references, switches, cosine, sine, work, out):
-    """N of every wave of `state` (1 + 2 kinds, 2, modes), into `out` (2, modes). switches: laws vary, cars may lift off."""
+    """N of every wave of `state` (1 + 2 kinds, 2, modes), into `out` (2, modes). switches: laws vary, cars may lift off.
+
+    Without varying laws only the Y of `state` are looked at.
+    """
     varying, lift_off = switches
-    series, single, chi, fields, (roots, signs) = work
+    series, waves, chi, fields, (roots, signs) = work
     kinds, modes = weight.size, out.shape[1]
     height, bend, rate, over, excess = fields[0], fields[1], fields[2], fields[3 : 3 + kinds], fields[3 + kinds :]
     out[:] = 0.0
     flight = False
-    if lift_off:  # |Y| <= the sum of its waves' amplitudes: where that says contact, nothing is left to clip
-        for i in range(kinds):
-            amplitude = abs(state[1 + i, 0, 0])
-            for m in range(1, modes):
-                amplitude += 2 * math.sqrt(state[1 + i, 0, m] ** 2 + state[1 + i, 1, m] ** 2)
-            flight |= not square[i] * amplitude <= 1.0
+    for i in range(kinds):
+        amplitude = 0.0  # q + 1 <= the sum of its waves' amplitudes: where that says contact, nothing is left to clip
+        for m in range(uint64(modes)):
+            a, b = square[i] * state[1 + i, 0, m], square[i] * state[1 + i, 1, m]
+            waves[i, 0, m], waves[i, 1, m] = a, b
+            amplitude += 2 * math.sqrt(a * a + b * b)
+        flight |= lift_off and not amplitude - abs(waves[i, 0, 0]) <= 1.0
+        waves[i, 0, 0] -= 1.0
     if varying or flight:
         for i in range(kinds):
-            single[:] = square[i] * state[1 + i]
-            single[0, 0] -= 1.0
-            _synthesise(single, cosine, sine, over[i])
-        if varying:
-            _synthesise(state[0], cosine, sine, height)
-            single[:] = curvature * state[0]
-            _synthesise(single, cosine, sine, bend)
-            at_points(height, bend, over, weight, laws, references, rate, excess)
-            _analyse(rate, cosine, sine, out)
+            _synthesise(waves[i], cosine, sine, over[i])
+    if varying:
+        _synthesise(state[0], cosine, sine, height)
+        waves[kinds] = curvature * state[0]
+        _synthesise(waves[kinds], cosine, sine, bend)
+        at_points(height, bend, over, weight, laws, references, rate, excess)
+        _analyse(rate, cosine, sine, out)
     if flight:
         for i in range(kinds):
-            single[:] = square[i] * state[1 + i]
-            single[0, 0] -= 1.0
-            count = roots_of(single, over[i], roots, signs)
+            count = roots_of(waves[i], over[i], roots, signs)
             if count > 0 or over[i, 0] > 0.0:
                 indicator(roots, signs, count, over[i, 0] > 0.0, series.shape[1], chi)
                 if varying:
                     _analyse(excess[i], cosine, sine, series)
                 else:  # alpha is the same everywhere
-                    series[:] = references[0] * weight[i] * single
+                    for c in range(2):
+                        for m in range(uint64(modes)):
+                            series[c, m] = references[0] * weight[i] * waves[i, c, m]
                 subtract_masked(out, chi, series)
     out[0, 0] -= references[0] * weight.sum()
 
@@ -248,10 +253,26 @@ def parts(waves):
 
 
 @njit(**COMPILE)
-def _add_product(total, a, b):
-    for m in range(total.shape[1]):
-        total[0, m] += a[0, m] * b[0, m] - a[1, m] * b[1, m]
-        total[1, m] += a[0, m] * b[1, m] + a[1, m] * b[0, m]
+def _polynomial(stage, rates, known):
+    """The polynomial of N in a stage, (powers, 2, modes), from the rates (4, 2, modes)."""
+    for p in range(known.shape[0]):
+        f0, f1, f2, f3 = POLYNOMIAL[stage, p]
+        for c in range(2):
+            r0, r1, r2, r3, to = rates[0, c], rates[1, c], rates[2, c], rates[3, c], known[p, c]
+            for m in range(uint64(to.size)):
+                to[m] = f0 * r0[m] + f1 * r1[m] + f2 * r2[m] + f3 * r3[m]
+
+
+@njit(**COMPILE)
+def _product(matrix, known, total):
+    """total (2, modes) = sum over j of matrix (j, 2, modes) times known (j, 2, modes), as complex numbers."""
+    total[:] = 0.0
+    real, imag = total[0], total[1]
+    for j in range(known.shape[0]):
+        a, b, c, d = matrix[j, 0], matrix[j, 1], known[j, 0], known[j, 1]
+        for m in range(uint64(real.size)):
+            real[m] += a[m] * c[m] - b[m] * d[m]
+            imag[m] += a[m] * d[m] + b[m] * c[m]
 
 
 @njit(**COMPILE)
@@ -270,20 +291,17 @@ def advance(waves, half, full, steps, curvature, square, weight, laws, reference
     middle, end = np.empty((2, size, size + powers, 2, modes))
     for i in range(size):
         middle[i], end[i] = parts(half[i]), parts(full[i])
+    looked_at = 0 if switches[0] else 1, 1 + weight.size  # rows of a stage that its remainder depends on
     for _ in range(steps):
         if not math.isfinite(stage[0, 0, 0]):
             waves[:] = np.nan
             return
         for s in range(4):
             remainder(stage, curvature, square, weight, laws, references, switches, cosine, sine, work, rates[s])
-            used = (1, 2, 2, 3)[s]
-            for p in range(used):
-                known[size + p] = 0.0
-                for r in range(s + 1):
-                    known[size + p] += POLYNOMIAL[s, p, r] * rates[r]
-            stage[:] = 0.0
-            for i in range(size):
-                for j in range(size + used):
-                    _add_product(stage[i], middle[i, j] if s < 2 else end[i, j], known[j])
+            used = size + (1, 2, 2, 3)[s]
+            _polynomial(s, rates, known[size:used])
+            matrix, rows = middle if s < 2 else end, looked_at if s < 3 else (0, size)
+            for i in range(rows[0], rows[1]):
+                _product(matrix[i], known[:used], stage[i])
         known[:size] = stage
     waves.real[:], waves.imag[:] = stage[:, 0], stage[:, 1]

@@ -10,8 +10,9 @@ from numpy.fft import irfft, rfft  # less overhead a call than scipy.fft on the 
 
 from ..laws import Constant
 from ..schemes.exponential import doubled, eigenvectors, exact, krogstad, stays_below
-from ..schemes.oscillator import settled
+from ..schemes.oscillator import settled_waves
 from . import continuum_kernels as kernels
+from . import continuum_waves as waves
 
 OVERSAMPLING = 4
 FEW_NODES = 512  # up to which compiled sums over the waves take the place of transforms, and the clip is exact
@@ -22,7 +23,7 @@ TOO_LARGE = 1e100  # a law on its way to overflow: the matrices of the last sane
 
 
 class Kinds(NamedTuple):
-    """The distinct kinds of car and their shares of the fleet, each (kinds, 1)."""
+    """The distinct kinds of car and their shares of the fleet, each (kinds,)."""
 
     speed: np.ndarray
     frequency: np.ndarray
@@ -31,13 +32,14 @@ class Kinds(NamedTuple):
     share: np.ndarray
 
     @classmethod
+    @lru_cache(maxsize=2)
     def of(cls, fleet) -> Kinds:
         cars = [getattr(fleet, name) for name in cls._fields[:-1]]
         if not any(isinstance(values, tuple) for values in cars):
-            return cls(*np.array(cars)[:, None, None], np.ones((1, 1)))
+            return cls(*np.array(cars)[:, None], np.ones(1))
         cars = np.column_stack([fleet.per_car(name) for name in cls._fields[:-1]])
         kinds, count = np.unique(cars, axis=0, return_counts=True)
-        return cls(*kinds.T[..., None], count[:, None] / fleet.count)
+        return cls(*np.ascontiguousarray(kinds.T), count / fleet.count)
 
     @property
     def weight(self) -> np.ndarray:
@@ -58,53 +60,34 @@ class Start(NamedTuple):
     """What a scene on a grid begins with; not to be changed."""
 
     kinds: Kinds
+    k: np.ndarray  # wavenumbers, (modes,)
+    spectrum: np.ndarray  # of the profile on the grid, with the wave of two nodes
     state: np.ndarray  # H, then Y of each kind, then P of each kind, shape (1 + 2 kinds, modes)
     alpha: float
     delta: float
-    linear: tuple[np.ndarray, np.ndarray]  # of `linear_part`
+    linear: tuple[np.ndarray, np.ndarray]  # of `waves.linear_part`
 
 
 @lru_cache(maxsize=2)  # asked for by `numerics`, and again by the run that follows
 @np.errstate(all="ignore")  # here and below: what overflows stays non-finite, without a warning
 def start(scene, nodes: int) -> Start:
-    road, fleet, kinds = scene.road, scene.fleet, Kinds.of(scene.fleet)
-    height = road.profile.sample(road.length, nodes)
-    fields = np.zeros((1 + 2 * len(kinds.speed), nodes))
-    fields[0] = height
-    if fleet.start == "settled":
-        sink_rate = float(road.softness(height.mean()) * kinds.weight.sum())
-        cars = zip(*(value[:, 0] for value in kinds[:3]), strict=True)
-        Z, P = np.moveaxis([settled(height, road.length, *car, sink_rate) for car in cars], 1, 0)
-        fields[1:] = np.concatenate((Z - height, P))
-    state = rfft(fields, norm="forward")[:, : modes(nodes)]
+    road, kinds = scene.road, Kinds.of(scene.fleet)
+    spectrum = rfft(road.profile.sample(road.length, nodes), norm="forward")
+    k = 2 * np.pi / road.length * np.arange(modes(nodes))
+    state = np.zeros((1 + 2 * len(kinds.speed), k.size), dtype=complex)
+    state[0] = spectrum[: k.size]
     alpha, delta = references(road, state, nodes)
-    return Start(kinds, state, alpha, delta, linear_part(kinds, _wavenumbers(road, nodes), alpha, delta))
+    if scene.fleet.start == "settled" and not waves.settle(state, k, *kinds[:3], alpha * kinds.weight.sum()):
+        settled_waves(
+            state[0], np.arange(k.size), road.length, *(value[:, None] for value in kinds[:3])
+        )  # says why not
+    return Start(kinds, k, spectrum, state, alpha, delta, waves.linear_part(k, *kinds[:3], kinds.weight, alpha, delta))
 
 
-def _wavenumbers(road, nodes: int) -> np.ndarray:
-    return 2 * np.pi / road.length * np.arange(modes(nodes))
-
-
-def linear_part(kinds: Kinds, k: np.ndarray, alpha: float, delta: float) -> tuple[np.ndarray, np.ndarray]:
-    """The linear part: the matrix of every wave, (modes, size, size), and where the remainder acts, (size,)."""
-    n = len(kinds.speed)
-    speed, omega, damping = (value[:, 0] for value in kinds[:3])
-    H, Y, P = 0, np.arange(1, n + 1), np.arange(n + 1, 2 * n + 1)
-    ik = 1j * k[:, None]
-    road = np.zeros((k.size, 1 + 2 * n), dtype=complex)  # dH/dt, a row of the system
-    road[:, H] = -delta * k**2
-    road[:, Y] = alpha * kinds.weight[:, 0] * omega**2
-    system = np.zeros((*road.shape, 1 + 2 * n), dtype=complex)
-    system[:, Y, Y] = -ik * speed - 2 * damping * omega
-    system[:, Y, P] = 1.0
-    system[:, Y, H] = -ik * speed
-    system[:, Y] -= road[:, None]
-    system[:, P, Y] = -(omega**2)
-    system[:, P, P] = -ik * speed
-    system[:, H] = road
-    source = np.zeros(1 + 2 * n)  # what moves the road moves it relative to the cars
-    source[H], source[Y] = 1.0, -1.0
-    return system, source
+def present(wave: np.ndarray) -> np.ndarray:
+    """Which of the waves (modes,) are more than rounding."""
+    size = np.abs(wave)
+    return size > 1e-14 * size.max()
 
 
 def references(road, state, nodes: int) -> tuple[float, float]:
@@ -123,35 +106,23 @@ def linear_throughout(scene, nodes: int, duration: float) -> bool:
 
 
 def left_by_rounding(scene, road_height, time: float) -> float:
-    """Root mean square error, mean removed, at `time` of a run without steps, exact but for the rounding of numbers.
-
-    Waves that the profile has not are nothing but that, grown. The others begin with the profile's, relative to them, and
-    the exponential of L t is off as if L were by a rounding of its norm, which acts on a car's state, too.
-    """
-    nodes, eps = road_height.size, np.finfo(float).eps
-    begin = start(scene, nodes)
-    wave = np.abs(rfft(road_height, norm="forward"))[1 : begin.state.shape[1]]
-    first = np.abs(begin.state[:, 1:])
-    error, highest = wave.copy(), first[0].max(initial=0.0)
-    present = np.flatnonzero(first[0] > 1e-14 * highest)
-    norm = np.abs(begin.linear[0][present + 1]).sum(axis=2).max(axis=1)
-    state = np.linalg.norm(first[:, present], axis=0)
-    error[present] *= np.minimum(1.0, eps * (highest + time * norm * state) / first[0, present])
-    return float(np.sqrt(2) * np.linalg.norm(error))
+    """Root mean square error, mean removed, at `time` of a run without steps, exact but for the rounding of numbers."""
+    nodes = road_height.size
+    begin, wave = start(scene, nodes), rfft(road_height, norm="forward")[: modes(nodes)]
+    return waves.left_by_rounding(wave, begin.state, begin.linear[0], time)
 
 
 class Continuum:
     """The state of cars and road, (1 + 2 kinds, modes), and how it moves on."""
 
     def __init__(self, scene, nodes: int):
-        self.kinds, state, self.alpha, self.delta, self.linear = start(scene, nodes)
+        self.kinds, self.k, _, state, self.alpha, self.delta, self.linear = start(scene, nodes)
         kinds, self.road = self.kinds, scene.road
         self.constant = constant(scene.road)
         self.lift_off = scene.lift_off
         self.nodes, self.fine = nodes, OVERSAMPLING * nodes
-        self.k = _wavenumbers(scene.road, nodes)
         self.count = len(kinds.speed)
-        self.square, self.weight = kinds.frequency[:, 0] ** 2, kinds.weight[:, 0]
+        self.square, self.weight = kinds.frequency**2, kinds.weight
         self.state, self.step = state.copy(), 0.0
         self.few = nodes <= (FEW_NODES if self.constant else FEW_NODES_VARYING)
         self.laws = np.array([*scene.road.softness.kernel, *scene.road.diffusivity.kernel], dtype=float)
@@ -173,7 +144,7 @@ class Continuum:
         """Be as `leave` left it."""
         self.state = left["state"].copy()
         self.alpha, self.delta = left["alpha"], left["delta"]
-        self.linear = linear_part(self.kinds, self.k, self.alpha, self.delta)
+        self.linear = waves.linear_part(self.k, *self.kinds[:3], self.weight, self.alpha, self.delta)
         if left["leapt"]:
             self.step, self.half, self.full = left["step"], None, exact(*self.linear, left["step"])
         else:
@@ -190,10 +161,10 @@ class Continuum:
             return False
         if self.decay is None:
             self.decay = eigenvectors(self.linear[0])
-        waves = self.state.copy()
-        waves[1 + self.count :, 0] += self.alpha * self.weight.sum()  # about cars at rest on a road that sinks
-        waves[0, 0] = 0.0
-        return stays_below(1 / self.square, self.decay, waves, Y, duration)
+        state = self.state.copy()
+        state[1 + self.count :, 0] += self.alpha * self.weight.sum()  # about cars at rest on a road that sinks
+        state[0, 0] = 0.0
+        return stays_below(1 / self.square, self.decay, state, Y, duration)
 
     def remainder(self, state: np.ndarray) -> np.ndarray:
         """N of every wave, the weight <m> of the cars included in the mean; shape (modes,)."""
@@ -207,8 +178,8 @@ class Continuum:
         # |Y| <= the sum of its waves' amplitudes: where that says contact, nothing is left to clip
         clip = self.lift_off and not np.all(self.square * 2 * np.abs(state[1 : 1 + self.count]).sum(axis=1) <= 1)
         if clip or not self.constant:
-            waves = np.concatenate((state[: 1 + self.count], -(self.k**2) * state[:1]))
-            height, *Y, bend = irfft(waves, n=self.fine, norm="forward")
+            series = np.concatenate((state[: 1 + self.count], -(self.k**2) * state[:1]))
+            height, *Y, bend = irfft(series, n=self.fine, norm="forward")
             over = self.square[:, None] * Y - 1
             rate, excess = np.empty_like(height), np.empty_like(over)
             kernels.at_points(height, bend, over, self.weight, self.laws, self.frozen(), rate, excess)
@@ -244,7 +215,7 @@ class Continuum:
         drifted = drifted and max(alpha, delta) < TOO_LARGE
         if drifted:
             self.alpha, self.delta = alpha, delta
-            self.linear = linear_part(self.kinds, self.k, self.alpha, self.delta)
+            self.linear = waves.linear_part(self.k, *self.kinds[:3], self.weight, self.alpha, self.delta)
         if drifted or step != self.step or self.half is None:
             self.build(step)
 
@@ -253,7 +224,7 @@ class Continuum:
         """Take `duration` in one step: exact where the remainder is constant."""
         if duration != self.step:
             self.step, self.half, self.full = duration, None, exact(*self.linear, duration)
-        self.state = np.einsum("ijk,jk->ik", self.full[:, :-2], np.concatenate((self.state, self.at_rest()[None])))
+        self.state = waves.leap(self.state, self.full, -self.alpha * self.weight.sum())
 
     @np.errstate(all="ignore")
     def advance(self, step: float, steps: int) -> None:
@@ -275,8 +246,5 @@ class Continuum:
     @np.errstate(all="ignore")
     def fields(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Road height, mean car height, mean of mass times contact force, on the nodes."""
-        height, *Y = irfft(self.state[: 1 + self.count], n=self.nodes, norm="forward")
-        force = 1 - self.square[:, None] * Y
-        if self.lift_off:
-            force = np.maximum(0.0, force)
-        return height, height + self.kinds.share[:, 0] @ Y, self.weight @ force
+        values = irfft(self.state[: 1 + self.count], n=self.nodes, norm="forward")
+        return waves.fields(values, self.square, self.kinds.share, self.weight, self.lift_off)

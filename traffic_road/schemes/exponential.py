@@ -41,23 +41,51 @@ def exact(system: np.ndarray, source: np.ndarray, step: float) -> np.ndarray:
 
     `system` (systems, size, size) is L, `source` (size,) is b, the direction in which the remainder acts.
     """
+    augmented = _augmented(system, source, step)
+    exponential = exponentials(augmented) if augmented.shape[1] <= SMALL else expm(augmented)
+    return _systems_last(exponential, system.shape[1])
+
+
+@njit(cache=True, error_model="numpy")
+def _augmented(system, source, step):
     systems, size = system.shape[:2]
     augmented = np.zeros((systems, size + 3, size + 3), dtype=system.dtype)
-    augmented[:, :size, :size] = step * system
-    augmented[:, :size, size] = step * source
-    augmented[:, size, size + 1] = augmented[:, size + 1, size + 2] = 1.0
-    exponential = exponentials(augmented) if size + 3 <= SMALL else expm(augmented)
-    return np.ascontiguousarray(exponential[:, :size].transpose(1, 2, 0))
+    for s in range(systems):
+        for i in range(size):
+            for j in range(size):
+                augmented[s, i, j] = step * system[s, i, j]
+            augmented[s, i, size] = step * source[i]
+        augmented[s, size, size + 1] = augmented[s, size + 1, size + 2] = 1.0
+    return augmented
 
 
-def doubled(half: np.ndarray) -> np.ndarray:
+@njit(cache=True, error_model="numpy")
+def _systems_last(matrices, rows):
+    """The first `rows` of matrices (systems, size, size) as (rows, size, systems)."""
+    systems, size = matrices.shape[:2]
+    turned = np.empty((rows, size, systems), dtype=matrices.dtype)
+    for i in range(rows):
+        for j in range(size):
+            for s in range(systems):
+                turned[i, j, s] = matrices[s, i, j]
+    return turned
+
+
+@njit(cache=True, error_model="numpy")
+def doubled(half):
     """`exact` over twice the step: the map applied twice, to the same polynomial of N seen from the start and from midway."""
-    size = len(half)
-    first = half.copy()
-    first[:, size:] *= np.array([1.0, 0.5, 0.25])[:, None]
-    full = np.einsum("ijk,jlk->ilk", half[:, :size], first)
-    midway = np.array([[1.0, 0.5, 0.125], [0.0, 0.5, 0.25], [0.0, 0.0, 0.25]])
-    full[:, size:] += np.einsum("ipk,pq->iqk", half[:, size:], midway)
+    size, columns, systems = half.shape
+    full = np.zeros_like(half)
+    for i in range(size):
+        for j in range(columns):
+            share = 0.5 ** max(0, j - size)
+            for k in range(size):
+                for s in range(systems):
+                    full[i, j, s] += share * half[i, k, s] * half[k, j, s]
+        for s in range(systems):  # N, its slope and its bend midway, of those at the start
+            full[i, size, s] += half[i, size, s]
+            full[i, size + 1, s] += 0.5 * half[i, size, s] + 0.5 * half[i, size + 1, s]
+            full[i, size + 2, s] += 0.125 * half[i, size, s] + 0.25 * (half[i, size + 1, s] + half[i, size + 2, s])
     return full
 
 
@@ -66,25 +94,28 @@ def exponentials(matrices):
     """Matrix exponentials (systems, size, size): Taylor's polynomial of the matrix scaled to norm 1, then squarings."""
     size = matrices.shape[1]
     result = np.empty_like(matrices)
-    product = np.empty_like(matrices[0])
+    product, scaled = np.empty_like(matrices[0]), np.empty_like(matrices[0])
     for s in range(matrices.shape[0]):
         norm = 0.0
         for i in range(size):
-            norm = max(norm, np.abs(matrices[s, i]).sum())
+            row = 0.0
+            for j in range(size):
+                row += abs(matrices[s, i, j])
+            norm = max(norm, row)
         if not norm < 1e300:  # infinite or NaN
             result[s] = np.nan
             continue
         squarings = max(0, math.ceil(math.log2(norm))) if norm > 0.0 else 0
-        scaled = matrices[s] * 0.5**squarings
         power = result[s]
-        power[:] = 0.0
         for i in range(size):
-            power[i, i] = 1.0
+            for j in range(size):
+                scaled[i, j] = matrices[s, i, j] * 0.5**squarings
+                power[i, j] = 1.0 if i == j else 0.0
         for degree in range(DEGREE, 0, -1):  # Horner: I + A/1 (I + A/2 (I + ...))
             _multiply(scaled, power, product)
             for i in range(size):
                 for j in range(size):
-                    power[i, j] = product[i, j] / degree
+                    power[i, j] = product[i, j] * (1.0 / degree)
                 power[i, i] += 1.0
         for _ in range(squarings):
             _multiply(power, power, product)
@@ -109,11 +140,19 @@ def _multiply(a, b, product):
 def eigenvectors(system: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Eigenvalues (systems, size), eigenvectors and the inverse of their matrix; NaN where there is none."""
     try:
-        rate, shape = np.linalg.eig(system)
-        return rate, shape, np.linalg.inv(shape)
-    except np.linalg.LinAlgError:
+        return _eigenvectors(system)
+    except (np.linalg.LinAlgError, ValueError):
         lost = np.full(system.shape, np.nan + 0j)
         return lost[..., 0], lost, lost
+
+
+@njit(cache=True, error_model="numpy")
+def _eigenvectors(system):
+    rate, shape, inverse = np.empty(system.shape[:2], system.dtype), np.empty_like(system), np.empty_like(system)
+    for s in range(len(system)):
+        rate[s], shape[s] = np.linalg.eig(system[s])
+        inverse[s] = np.linalg.inv(shape[s])
+    return rate, shape, inverse
 
 
 def stays_below(limit: np.ndarray, eigen: tuple, u: np.ndarray, rows: slice, duration: float) -> bool:
@@ -125,25 +164,37 @@ def stays_below(limit: np.ndarray, eigen: tuple, u: np.ndarray, rows: slice, dur
     which their phases part, and asks again. Where eigenvectors nearly coincide this finds no bound, never a false one.
     """
     rate, shape, inverse = eigen
-    count = np.full(rate.shape[0], 2.0)  # a wave and its conjugate
-    count[0] = 1.0
-    limit = limit * (1 - 1e-6)  # rounding
     term = shape[:, rows] * (inverse @ u.T[..., None]).swapaxes(1, 2)
-    rate = rate[:, None]
+    return _stays_below(limit * (1 - 1e-6), rate, term, duration)  # rounding
+
+
+@njit(cache=True, error_model="numpy")
+def _stays_below(limit, rate, term, duration):
+    """The same of exponentials `term` (systems, rows, size) that move at the `rate` (systems, size); changes `term`."""
     for _ in range(MOST_LOOKS):
-        largest = np.abs(term) * np.exp(np.maximum(rate.real, 0.0) * duration)
-        if np.all(count @ largest.sum(axis=-1) < limit):
-            return True
-        main = np.take_along_axis(rate + 0 * term, np.abs(term).argmax(axis=-1)[..., None], axis=-1)
-        parting = np.abs(term * (rate - main)) * np.exp(np.maximum((rate - main).real, 0.0) * LOOK)
-        growth = np.exp(np.maximum(main.real[..., 0], 0.0) * LOOK)
-        reach = (np.abs(term.sum(axis=-1)) + LOOK * parting.sum(axis=-1)) * growth
-        if not np.all(count @ reach < limit):
-            return False
-        term = term * np.exp(rate * LOOK)
+        below = within_reach = True
+        for row in range(limit.size):
+            largest = reach = 0.0
+            for s in range(rate.shape[0]):
+                count = 2.0 if s > 0 else 1.0  # a wave and its conjugate
+                some, total, main, parting = term[s, row], 0j, 0, 0.0
+                for j in range(some.size):
+                    size = abs(some[j])
+                    largest += count * size * math.exp(max(rate[s, j].real, 0.0) * duration)
+                    total += some[j]
+                    main = j if size > abs(some[main]) else main
+                for j in range(some.size):
+                    apart = rate[s, j] - rate[s, main]
+                    parting += abs(some[j] * apart) * math.exp(max(apart.real, 0.0) * LOOK)
+                    some[j] *= np.exp(rate[s, j] * LOOK)
+                reach += count * (abs(total) + LOOK * parting) * math.exp(max(rate[s, main].real, 0.0) * LOOK)
+            below &= largest < limit[row]
+            within_reach &= reach < limit[row]
         duration -= LOOK
-        if duration <= 0:
+        if below or (within_reach and duration <= 0):
             return True
+        if not within_reach:
+            return False
     return False
 
 

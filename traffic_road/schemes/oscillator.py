@@ -92,7 +92,7 @@ def settled(road_height, length: float, speed: float, frequency: float, damping:
     nodes = len(road_height)
     wave, number = _waves(road_height)
     height, momentum = np.zeros((2, nodes // 2 + 1), dtype=complex)
-    height[number], momentum[number] = _response(wave, number, length, speed, frequency, damping)
+    height[number], momentum[number] = settled_waves(wave, number, length, speed, frequency, damping)
     return np.fft.irfft(height, n=nodes), np.fft.irfft(momentum, n=nodes) - sink_rate
 
 
@@ -109,7 +109,9 @@ def settled_at(node, road_height, length: float, speed, frequency, damping, sink
     at_once = MOST_TERMS // max(1, number.size) + 1
     for first in range(0, len(node), at_once):
         some = slice(first, first + at_once)
-        Z, P = _response(wave * weight, number, length, speed[some, None], frequency[some, None], damping[some, None])
+        Z, P = settled_waves(
+            wave * weight, number, length, speed[some, None], frequency[some, None], damping[some, None]
+        )
         phase = turn[node[some, None] * number % nodes]
         height[some], momentum[some] = (Z * phase).real.sum(axis=1), (P * phase).real.sum(axis=1)
     return height, momentum - sink_rate
@@ -127,8 +129,11 @@ def _waves(road_height):
     return wave[number], number
 
 
-def _response(wave, number, length, speed, frequency, damping):
-    """Waves of Z, and of P less its mean, over the `wave` (waves,) of a road; the others are numbers or (cars, 1)."""
+def settled_waves(wave, number, length, speed, frequency, damping):
+    """Waves of Z, and of P less its mean, over the `wave` (waves,) of a road; the others are numbers or (cars, 1).
+
+    SceneError where an undamped car meets a wave at resonance.
+    """
     kappa = 2 * np.pi / length * number * speed / frequency
     denominator = 1 - kappa**2 + 2j * damping * kappa
     resonant = np.abs(denominator) < 1e-9

@@ -1,0 +1,108 @@
+"""Compiled loops over the waves of the continuum: their linear part, and what is sure of a run without steps."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from ..compiled import njit
+
+COMPILE = {"cache": True, "error_model": "numpy"}
+EPS = float(np.finfo(float).eps)
+
+
+@njit(**COMPILE)
+def linear_part(k, speed, frequency, damping, weight, alpha, delta):
+    """The linear part: the matrix of every wave, (modes, size, size), and where the remainder acts, (size,).
+
+    k: (modes,); the cars: (kinds,), `weight` their share of the fleet times their mass.
+    """
+    kinds = speed.size
+    size = 1 + 2 * kinds  # H, then Y of each kind, then P of each kind
+    system = np.zeros((k.size, size, size), dtype=np.complex128)
+    for m in range(k.size):
+        A = system[m]
+        A[0, 0] = -delta * k[m] ** 2
+        for i in range(kinds):
+            A[0, 1 + i] = alpha * weight[i] * frequency[i] ** 2
+        for i in range(kinds):
+            Y, P, along = 1 + i, 1 + kinds + i, -1j * k[m] * speed[i]
+            for j in range(1 + kinds):
+                A[Y, j] = -A[0, j]
+            A[Y, Y] += along - 2 * damping[i] * frequency[i]
+            A[Y, 0] += along
+            A[Y, P] = 1.0
+            A[P, Y] = -(frequency[i] ** 2)
+            A[P, P] = along
+    source = np.zeros(size)  # what moves the road moves it relative to the cars
+    source[0], source[1 : 1 + kinds] = 1.0, -1.0
+    return system, source
+
+
+@njit(**COMPILE)
+def settle(state, k, speed, frequency, damping, sink_rate):
+    """Give the cars of `state` (size, modes) their periodic response to its road; False where one is in resonance with it.
+
+    Wave by wave that of `schemes.oscillator.settled`, with Y = kappa^2/D h; waves that are rounding are left out.
+    """
+    road, kinds = state[0], speed.size
+    least = 1e-14 * np.abs(road).max()
+    for i in range(kinds):
+        for m in range(k.size):
+            kappa = k[m] * speed[i] / frequency[i]
+            denominator = 1 - kappa**2 + 2j * damping[i] * kappa
+            if abs(road[m]) > least:
+                if abs(denominator) < 1e-9:
+                    return False
+                state[1 + i, m] = kappa**2 / denominator * road[m]
+                state[1 + kinds + i, m] = 1j * frequency[i] * kappa / denominator * road[m]
+        state[1 + kinds + i, 0] -= sink_rate  # the road sinks steadily under the car
+    return True
+
+
+@njit(**COMPILE)
+def leap(state, full, rest):
+    """`state` (size, modes) one `schemes.exponential.exact` step `full` on, while the remainder is `rest`, of the mean."""
+    size, modes = state.shape
+    after = np.zeros_like(state)
+    for i in range(size):
+        for j in range(size):
+            for m in range(modes):
+                after[i, m] += full[i, j, m] * state[j, m]
+        after[i, 0] += full[i, size, 0] * rest
+    return after
+
+
+@njit(**COMPILE)
+def fields(values, square, share, weight, lift_off):
+    """Road height, mean car height and mean force on the nodes, each (nodes,), from `values`, H and Y (1 + kinds, nodes)."""
+    height, car, force = values[0].copy(), values[0].copy(), np.zeros(values.shape[1])
+    for i in range(weight.size):
+        for j in range(force.size):
+            car[j] += share[i] * values[1 + i, j]
+            load = 1.0 - square[i] * values[1 + i, j]
+            force[j] += weight[i] * (0.0 if lift_off and load < 0.0 else load)
+    return height, car, force
+
+
+@njit(**COMPILE)
+def left_by_rounding(wave, begin, system, time):
+    """Root mean square error of `wave` (modes,), the road at `time` by one exponential of `system` for each of its waves.
+
+    begin: the state at the start, (size, modes). Waves that the profile has not are nothing but rounding, grown. The others
+    begin with the profile's, relative to them, and the exponential of L t is off as if L were by a rounding of its norm,
+    which acts on a car's state, too.
+    """
+    highest = np.abs(begin[0, 1:]).max() if wave.size > 1 else 0.0
+    total = 0.0
+    for m in range(1, wave.size):
+        first, error = abs(begin[0, m]), abs(wave[m])
+        if first > 1e-14 * highest:
+            norm = state = 0.0
+            for i in range(begin.shape[0]):
+                norm = max(norm, np.abs(system[m, i]).sum())
+                state += abs(begin[i, m]) ** 2
+            error *= min(1.0, EPS * (highest + time * norm * math.sqrt(state)) / first)
+        total += error**2
+    return math.sqrt(2 * total)
