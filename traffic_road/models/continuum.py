@@ -30,9 +30,10 @@ from time import perf_counter
 import numpy as np
 from numpy.fft import rfft  # less overhead a call than scipy.fft on the short transforms of one wave
 
-from ..errors import SceneError
+from ..errors import SceneError, StabilityError
 from ..laws import finite
 from ..memory import refuse_beyond_memory
+from ..schemes.exponential import SAFE, step_limit
 from . import Breath, Pace, Sample
 from .continuum_state import Continuum, Kinds, constant, linear_throughout, modes, present, start
 
@@ -40,10 +41,9 @@ KEYWORDS = ("nodes", "step")
 PAIR_RATIO = 2.0  # a pair of runs differs by 3 times the error of the better one at order 2, by more at order 4
 LARGEST = 2e9  # multiplications in one product of all matrices: about a minute for a rebuild
 MOST_STEPS = 1e10
-FIRST_BATCH, LONGEST_BATCH = (
-    4096,
-    0.05,
-)  # nodes' steps taken at a time: at first, and in fewer seconds than that doubled
+MOST_WAVES = 64  # that are looked at for the longest step
+FIRST_BATCH = 4096  # nodes' steps taken at a time, at first
+LONGEST_BATCH = 0.05  # seconds within which that is doubled
 
 
 def numerics(scene, given: dict) -> dict:
@@ -53,8 +53,21 @@ def numerics(scene, given: dict) -> dict:
     any other, and at least 32; where harmonics cannot arise (constant laws, lift_off=False), what the profile needs
     and at least 16.
     SceneError: an unknown keyword, a value out of range, nodes that do not resolve the profile, more work than can be
-    done, laws that overflow, an undamped car in resonance with the road it is to be settled on.
+    done, laws that overflow, an undamped car in resonance with the road it is to be settled on. StabilityError: a step
+    beyond `longest_step`.
     """
+    chosen = unstable_numerics(scene, given)
+    limit = longest_step(scene, chosen)
+    if chosen["step"] >= limit:
+        raise StabilityError(
+            f"step = {chosen['step']:g}: with cars in the air half the time the road blows up from {limit:.4g} on; "
+            "use a shorter step"
+        )
+    return chosen
+
+
+def unstable_numerics(scene, given: dict) -> dict:
+    """As `numerics`, and no StabilityError."""
     unknown = sorted(set(given) - set(KEYWORDS))
     if unknown:
         raise SceneError(f"unknown keyword {unknown[0]!r} for the continuum; allowed are {', '.join(KEYWORDS)}")
@@ -85,8 +98,33 @@ def numerics(scene, given: dict) -> dict:
     return {"nodes": nodes, "step": step}
 
 
+def longest_step(scene, numerics: dict) -> float:
+    """The step from which on a high wave grows that should decay; inf if not below `numerics["step"]`.
+
+    However high it gets, a wave is clipped half the time: the remainder takes back half of what contact does (the same
+    half by which the saturation limit is twice the neutral softness). This is exact but for harmonics, which move it by
+    tenths; lower waves, clipped less, have no lower limit.
+    """
+    step, begin = numerics["step"], start(scene, numerics["nodes"])
+    system, source = begin.linear
+    cars = slice(1, 1 + len(begin.kinds.speed))
+    row = np.zeros(system.shape[:2], dtype=complex)
+    row[:, cars] = -0.5 * system[:, 0, cars]
+    if not scene.lift_off or step * np.abs(row @ source).max() < SAFE:
+        return np.inf
+    if linear_throughout(scene, numerics["nodes"], scene.duration):
+        return np.inf
+    # waves that cars answer to, and no more than tell where the limit is
+    longest = max(2, np.count_nonzero(begin.k <= 3 * np.max(begin.kinds.frequency / begin.kinds.speed)))
+    some = np.unique(np.linspace(0, min(longest, begin.k.size) - 1, MOST_WAVES).astype(int))
+    return step_limit(system[some], source, row[some], step)
+
+
 def coarser(scene, numerics: dict) -> dict:
-    """Twice the step and half the nodes, but no fewer nodes than the profile needs."""
+    """Twice the step and half the nodes, but no fewer nodes than the profile needs.
+
+    The step may be beyond `longest_step`: half of it is as wrong as that run tells, where a finer one would say too little.
+    """
     (waves,) = present(start(scene, numerics["nodes"]).spectrum).nonzero()
     least = 2 * waves[-1] + 1 if waves.size else 1
     return {"nodes": max(numerics["nodes"] // 2, int(least)), "step": 2 * numerics["step"]}

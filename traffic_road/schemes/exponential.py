@@ -232,7 +232,7 @@ def step_limit(system: np.ndarray, source: np.ndarray, row: np.ndarray, longest:
 
     low = high = SAFE / rate
     while not grows(high):
-        if high >= longest:
+        if high > longest:
             return np.inf
         low, high = high, 1.05 * high
     while high - low > 1e-4 * low:
