@@ -317,7 +317,13 @@ def test_running_again_with_changes(results):
 def test_no_result_to_run_again(results):
     assert "missing or damaged" in refusal(tr.rerun, results["compare"])
     assert "no Dataset" in refusal(tr.rerun, SCENE)
-    for attributes in ({"numerics": "{"}, {"numerics": "[1]"}, {"samples": "many"}, {"model": None}):
+    for attributes in (
+        {"numerics": "{"},
+        {"numerics": "[1]"},
+        {"samples": "many"},
+        {"model": None},
+        {"model": np.ones(2)},
+    ):
         ds = results["cars"].copy()
         ds.attrs = {key: value for key, value in (ds.attrs | attributes).items() if value is not None}
         assert "missing or damaged" in refusal(tr.rerun, ds)

@@ -295,6 +295,8 @@ def arguments_of(ds: xr.Dataset) -> dict:
     try:
         numerics = json.loads(ds.attrs["numerics"])
         arguments = {name: ds.attrs[name] for name in ("model", "tolerance", "samples")}
+        if not isinstance(arguments["model"], str):
+            raise TypeError(f"model = {arguments['model']!r}")
         if np.ndim(arguments["samples"]) == 0:
             arguments["samples"] = int(arguments["samples"])
         return {"scene": scene, **arguments, **numerics}
