@@ -202,7 +202,11 @@ def _by_runs(scene, models, given, runs: ByRuns, lost) -> list[Option]:
     if "continuum" not in models:
         return options
     most = continuum.numerics(scene, {})["nodes"]
-    grids = {min(times * runs.least_continuum, most) for times in (1, 2)} | {most}
+    grids = [most]
+    while grids[-1] % 2 == 0 and grids[-1] // 2 >= runs.least_continuum:
+        grids.append(grids[-1] // 2)
+    if grids[-1] > runs.least_continuum:
+        grids.append(runs.least_continuum)
     return options + _options(
         "continuum", models, [{"nodes": nodes, "step": step} for nodes in sorted(grids) for step in STEPS], given,
         lambda numerics: costs.of_continuum(scene, numerics, False),
