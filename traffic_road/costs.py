@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from .laws import Constant
+from .laws import Constant, Exponential
 from .models import linear
 from .models.continuum_state import FEW_NODES, FEW_NODES_VARYING, Kinds, constant
 from .models.even_layout import MANY, layout
@@ -17,6 +17,7 @@ from .schemes.relaxation import SHORT_RING
 
 FIXED = {"linear": 0.7e-3, "continuum": 0.1e-3, "cars": 0.6e-3}  # of any run: scene to samples
 CALL = 4e-6  # of a compiled sweep of one headway
+CALL_EXPONENTIAL = 35e-6  # of the polynomial for one, made anew for every interval
 CALL_RELAX, CALL_SHORT = 20e-6, 4e-6  # of a relaxation, and of a short ring's
 PAIR = 7e-11  # two nodes of a short ring
 UPDATE = {1: 0.8e-9, 3: 1.2e-9, 5: 1.6e-9}  # a node crossed, by the hold
@@ -27,7 +28,7 @@ TRANSFORM, BAND, NARROW_BAND, LINE_BAND = 15e-9, 1.6e-9, 6e-9, 3e-9
 RIPPLES = 6e-9  # of a large even fleet's long road, where there are no such weights for little smoothing
 SPREAD, LINE_SPREAD = 2.4, 164.0  # diffusivity times the interval over dx^2 between which there are such weights
 REACH = 17.0  # of the weights along lanes in nodes, over the root of that: below a lane's length
-RELAX_LAW = 500e-9  # a node and a polynomial's degree
+CALL_LAW, RELAX_LAW = 0.3e-3, 85e-9  # a relaxation where diffusivity varies; a node and a polynomial's degree
 
 
 def of_cars(scene, numerics: dict, even: bool) -> float:
@@ -40,7 +41,7 @@ def of_cars(scene, numerics: dict, even: bool) -> float:
     relax, interval, delta = 0.0, scene.headway_time * numerics["relax_every"], float(road.diffusivity(0.0))
     if not isinstance(road.diffusivity, Constant):
         reach = 0.5 * interval * delta * (np.pi * nodes / road.length) ** 2
-        relax = CALL_RELAX + nodes * RELAX_LAW * (1 + np.sqrt(2 * reach))
+        relax = CALL_LAW + nodes * RELAX_LAW * (1 + np.sqrt(2 * reach))
     elif delta > 0:
         spread, count, short = delta * interval * (nodes / road.length) ** 2, scene.fleet.count, nodes <= SHORT_RING
         band, most, transform = LINE_BAND, LINE_SPREAD, nodes * PAIR if short else TRANSFORM
@@ -50,6 +51,8 @@ def of_cars(scene, numerics: dict, even: bool) -> float:
             if spread <= SPREAD and halvings(nodes, lanes):
                 transform = RIPPLES
         relax = (CALL_SHORT if short else CALL_RELAX) + nodes * (band if SPREAD < spread < most else transform)
+    if even and isinstance(road.softness, Exponential):
+        relax += CALL_EXPONENTIAL
     return FIXED["cars"] + headways * (sweep + relax / numerics["relax_every"])
 
 
@@ -72,5 +75,5 @@ def of_continuum(scene, numerics: dict, leaps: bool) -> float:
         return FIXED["continuum"] + build
     steps = scene.duration / numerics["step"]
     few = nodes <= (FEW_NODES if constant(scene.road) else FEW_NODES_VARYING)
-    step = nodes * (25e-9 * nodes if few else 1.7e-6) * (1 + 0.5 * kinds)
+    step = nodes * (25e-9 * nodes if few else 1.0e-6) * (1 + 0.5 * kinds)
     return FIXED["continuum"] + 2 * build + steps * (10e-6 + step)

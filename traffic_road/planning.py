@@ -13,6 +13,7 @@ from . import costs
 from .errors import SceneError, StabilityError, shown
 from .laws import finite
 from .models import MODELS, continuum, linear, model
+from .models.continuum_state import linear_throughout
 from .outlook import constant_laws, takes_off, whole_headways
 from .predict import ByRuns, ByTheory, Predicted
 from .scene import Scene
@@ -175,7 +176,7 @@ def _by_theory(scene, models, given, theory: ByTheory) -> list[Option]:
         ),
         *_options(
             "continuum", models, [{"nodes": max(16, 2 * theory.highest + 2), "step": STEPS[0]}], given,
-            lambda numerics: costs.of_continuum(scene, numerics, theory.surely_linear),
+            lambda numerics: costs.of_continuum(scene, numerics, linear_throughout(scene, numerics["nodes"], scene.duration)),
             lambda numerics: Predicted(theory.continuum, theory.continuum),
         ),
         *_options(
@@ -200,9 +201,14 @@ def _by_runs(scene, models, given, runs: ByRuns, lost) -> list[Option]:
         )  # fmt: skip
     if "continuum" not in models:
         return options
-    nodes = continuum.numerics(scene, {})["nodes"]
+    most = continuum.numerics(scene, {})["nodes"]
+    grids = [most]
+    while grids[-1] % 2 == 0 and grids[-1] // 2 >= runs.least_continuum:
+        grids.append(grids[-1] // 2)
+    if grids[-1] > runs.least_continuum:
+        grids.append(runs.least_continuum)
     return options + _options(
-        "continuum", models, [{"nodes": nodes, "step": step} for step in STEPS], given,
+        "continuum", models, [{"nodes": nodes, "step": step} for nodes in sorted(grids) for step in STEPS], given,
         lambda numerics: costs.of_continuum(scene, numerics, False),
         runs.continuum,
     )  # fmt: skip

@@ -26,6 +26,7 @@ FINEST = 32  # rows of the finest matrices, beyond which their error is extrapol
 ENOUGH = 0.35  # of the tolerance: a difference of two coarse runs below which a third is not needed
 CAUTION = 0.7  # of a predicted difference of two runs: the less it is, the larger the error that it tells
 MOST_LEVELS, MOST_NODES = 6, 20_000  # of coarse runs of an uneven fleet
+LEAST_CONTINUUM = 16  # nodes, below which nothing is gained
 FINE_STEP = 0.5  # of the continuum, where only its model is in question
 HARDLY = 1e-13  # error below which nothing can be told from rounding
 
@@ -81,9 +82,6 @@ class ByTheory:
         strength[0] = -1.0
         self.strongest = field.waves[np.argsort(-strength)[:STRONGEST]]
         self.highest = int(field.waves[-1])
-        # as the continuum sees it: what the waves of the springs add up to, at the start and at the end
-        stretch = [field.square.max() * 2 * np.abs(w[1:, 1:-1:2] - w[1:, :1]).sum() for w in (field.y, y)]
-        self.surely_linear = not scene.lift_off or max(stretch) < 0.8
         self.mean_field = np.zeros(max(2, int(field.waves[-1]) + 1), dtype=complex)
         self.mean_field[field.waves] = y[:, 0]
 
@@ -262,6 +260,17 @@ class ByRuns:
         """Error of the continuum however fine: of one with small steps."""
         return self.other("continuum", continuum.numerics(self.scene, {"step": FINE_STEP}))
 
+    @cached_property
+    def least_continuum(self) -> int:
+        """Nodes of the continuum's coarsest usable grid of the scene, as many on each of its pieces."""
+        parts = round(self.scene.road.length / self.piece.road.length)
+        waves = self.piece.road.profile.highest_wave(self.piece.road.length)
+        return parts * max(2 * waves + 2, -(-LEAST_CONTINUUM // parts))
+
     def continuum(self, numerics: dict) -> Predicted:
         error = self.other("continuum", numerics)
-        return Predicted(error, min(error, self.model_error) if error > ENOUGH * self.tolerance else error)
+        own = min(error, self.model_error) if error > ENOUGH * self.tolerance else error
+        if numerics["nodes"] < continuum.numerics(self.scene, {})["nodes"]:
+            # half of so few nodes cannot be run, and a pair would not show what they leave out; this comparison does
+            return Predicted(error, own, KNOWN) if self.piece is self.scene else Predicted(error, error)
+        return Predicted(error, own)

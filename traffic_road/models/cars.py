@@ -13,6 +13,7 @@ time to time (`cars_state.sink_rate`): a road that has sunk by 1e5 resolves what
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 
 import numpy as np
@@ -88,9 +89,13 @@ def coarser(scene, chosen: dict) -> dict | None:
         return None
 
 
-def finer(scene, chosen: dict, given: dict) -> dict:
-    """Twice the nodes, unless they were given."""
-    return chosen if "nodes" in given else {**chosen, "nodes": 2 * chosen["nodes"]}
+def finer(scene, chosen: dict, given: dict, times: float = 2) -> dict:
+    """So many times the nodes, in whole pairs a headway, unless they were given."""
+    if "nodes" in given:
+        return chosen
+    pair = 2 * scene.fleet.count
+    nodes = 2 * chosen["nodes"] if times == 2 else pair * math.ceil(times * chosen["nodes"] / pair)
+    return {**chosen, "nodes": nodes}
 
 
 def _refuse_insoluble(scene, nodes: int, hold: int) -> None:

@@ -21,7 +21,7 @@ import math
 
 import numpy as np
 from numba import prange, uint64
-from numpy.polynomial.chebyshev import cheb2poly, chebinterpolate
+from numpy.polynomial.chebyshev import cheb2poly, chebpts1, chebvander
 
 from ..compiled import njit
 from ..laws import CONSTANT, EXPONENTIAL
@@ -31,6 +31,8 @@ from .even_layout import COMPILE, aligned, copy, hand_over, row_of
 FIELDS = 3  # of a car, before its contact heights: signs, f, f_-1
 DEEPEST = 16  # headways that go through a tile at a time
 RANGE, DEGREE = 0.6, 10  # shape times a height, about the level, for which a polynomial of the degree is right to 1e-13
+POINTS = chebpts1(DEGREE + 1)  # that polynomial's, and what makes its coefficients of the values there
+POWERS = np.array([cheb2poly(row) for row in np.linalg.inv(chebvander(POINTS, DEGREE)).T]).T
 SLIGHT = 1e-12  # of the sinking of a node, some thousandth of the load's length: the error allowed
 FEW = 4.4e-3  # shape times that sinking up to which a series of five terms is that good
 
@@ -72,7 +74,7 @@ LEVEL, REACH, STRAIN = range(3)
 def _about(level, most, shape, g2):
     """level; how far from it a block may begin; x_0^2 of a few passages, at most; shape; g_2 shape; coefficients."""
     scale = most * np.exp(shape * level)
-    per_weight = cheb2poly(chebinterpolate(lambda y: -scale / (np.exp(-RANGE * y) + g2 * scale), DEGREE))
+    per_weight = POWERS @ (-scale / (np.exp(-RANGE * POINTS) + g2 * scale))
     least, greatest = 1.0 / (1.0 + g2 * scale * np.exp(RANGE)), 1.0 / (1.0 + g2 * scale * np.exp(-RANGE))
     k, spread = 0.5 * (least + greatest), 0.5 * (greatest - least)
     few = min(
