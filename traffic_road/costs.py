@@ -15,19 +15,21 @@ from .models.even_layout import MANY, layout
 from .models.even_ripple import halvings
 from .schemes.relaxation import SHORT_RING
 
-FIXED = {"linear": 0.7e-3, "continuum": 0.1e-3, "cars": 0.6e-3}  # of any run: scene to samples
+FIXED = {"linear": 0.7e-3, "continuum": 0.06e-3, "cars": 0.6e-3}  # of any run: scene to samples
 CALL = 4e-6  # of a compiled sweep of one headway
 CALL_EXPONENTIAL = 35e-6  # of the polynomial for one, made anew for every interval
 CALL_RELAX, CALL_SHORT = 20e-6, 4e-6  # of a relaxation, and of a short ring's
 PAIR = 7e-11  # two nodes of a short ring
 UPDATE = {1: 0.8e-9, 3: 1.2e-9, 5: 1.6e-9}  # a node crossed, by the hold
 LAW = 6e-9  # the same where the softness varies: 1.5e-9, but 20e-9 where it varies by half along the road
-ANY_ORDER = 15e-9  # the same for any fleet but an even one
+ANY_CALL, ANY_CAR, ANY_ORDER = 10e-6, 0.15e-6, 3e-9  # any fleet but an even one: a headway, a car of it, a node crossed
 # a node relaxed, constant diffusivity: by way of all waves, or by weights nearby; these along lanes, few of them, in a line
 TRANSFORM, BAND, NARROW_BAND, LINE_BAND = 15e-9, 1.6e-9, 6e-9, 3e-9
 RIPPLES = 6e-9  # of a large even fleet's long road, where there are no such weights for little smoothing
 SPREAD, LINE_SPREAD = 2.4, 164.0  # diffusivity times the interval over dx^2 between which there are such weights
 REACH = 17.0  # of the weights along lanes in nodes, over the root of that: below a lane's length
+# a step of the continuum; its waves two by two, or transformed
+STEP, WAVES, CONTACT, STEP_LAW, WAVES_LAW, WAVES_TRANSFORM = 3e-6, 2.5e-9, 5e-8, 20e-6, 16e-9, 1.0e-6
 CALL_LAW, RELAX_LAW = 0.3e-3, 85e-9  # a relaxation where diffusivity varies; a node and a polynomial's degree
 
 
@@ -36,8 +38,10 @@ def of_cars(scene, numerics: dict, even: bool) -> float:
     road, nodes, hold = scene.road, numerics["nodes"], numerics["hold"]
     headways = scene.duration / scene.headway_time
     varies = not isinstance(road.softness, Constant)
-    update = (LAW if varies else UPDATE[hold]) if even else ANY_ORDER
-    sweep = CALL + nodes * update
+    if even:
+        sweep = CALL + nodes * (LAW if varies else UPDATE[hold])
+    else:
+        sweep = ANY_CALL + scene.fleet.count * ANY_CAR + nodes * ANY_ORDER
     relax, interval, delta = 0.0, scene.headway_time * numerics["relax_every"], float(road.diffusivity(0.0))
     if not isinstance(road.diffusivity, Constant):
         reach = 0.5 * interval * delta * (np.pi * nodes / road.length) ** 2
@@ -50,7 +54,9 @@ def of_cars(scene, numerics: dict, even: bool) -> float:
             band, most = BAND if count >= MANY else NARROW_BAND, ((lanes.tiles - 1) * lanes.rows / REACH) ** 2
             if spread <= SPREAD and halvings(nodes, lanes):
                 transform = RIPPLES
-        relax = (CALL_SHORT if short else CALL_RELAX) + nodes * (band if SPREAD < spread < most else transform)
+        relax = (CALL_RELAX if even and not short else CALL_SHORT) + nodes * (
+            band if SPREAD < spread < most else transform
+        )
     if even and isinstance(road.softness, Exponential):
         relax += CALL_EXPONENTIAL
     return FIXED["cars"] + headways * (sweep + relax / numerics["relax_every"])
@@ -70,10 +76,12 @@ def of_linear(scene, numerics: dict, waves: int, even: bool) -> float:
 def of_continuum(scene, numerics: dict, leaps: bool) -> float:
     """leaps: no law varies and no car takes off, so that one exponential leads from sample to sample."""
     nodes, kinds = numerics["nodes"], len(Kinds.of(scene.fleet).speed)
-    build = nodes * (2e-6 + 1e-8 * (2 * kinds + 4) ** 3)
+    build = nodes * (1e-6 + 6e-9 * (2 * kinds + 4) ** 3)
     if leaps:
         return FIXED["continuum"] + build
-    steps = scene.duration / numerics["step"]
-    few = nodes <= (FEW_NODES if constant(scene.road) else FEW_NODES_VARYING)
-    step = nodes * (25e-9 * nodes if few else 1.0e-6) * (1 + 0.5 * kinds)
-    return FIXED["continuum"] + 2 * build + steps * (10e-6 + step)
+    if constant(scene.road):
+        highest = scene.road.profile.highest_wave(scene.road.length)  # where cars take off and land, on each wave
+        step = STEP + nodes * (WAVES * nodes + CONTACT * highest if nodes <= FEW_NODES else WAVES_TRANSFORM)
+    else:
+        step = STEP_LAW + nodes * (WAVES_LAW * nodes if nodes <= FEW_NODES_VARYING else WAVES_TRANSFORM)
+    return FIXED["continuum"] + 2 * build + scene.duration / numerics["step"] * step * (1 + 0.5 * (kinds - 1))

@@ -270,7 +270,8 @@ class ByRuns:
     def continuum(self, numerics: dict) -> Predicted:
         error = self.other("continuum", numerics)
         own = min(error, self.model_error) if error > ENOUGH * self.tolerance else error
+        if self.piece is self.scene:  # this is the error of the very run: a pair would tell less
+            return Predicted(error, own, KNOWN)
         if numerics["nodes"] < continuum.numerics(self.scene, {})["nodes"]:
-            # half of so few nodes cannot be run, and a pair would not show what they leave out; this comparison does
-            return Predicted(error, own, KNOWN) if self.piece is self.scene else Predicted(error, error)
+            return Predicted(error, error)  # half of so few nodes cannot be run
         return Predicted(error, own)

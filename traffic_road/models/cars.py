@@ -90,12 +90,13 @@ def coarser(scene, chosen: dict) -> dict | None:
 
 
 def finer(scene, chosen: dict, given: dict, times: float = 2) -> dict:
-    """So many times the nodes, in whole pairs a headway, unless they were given."""
-    if "nodes" in given:
-        return chosen
-    pair = 2 * scene.fleet.count
-    nodes = 2 * chosen["nodes"] if times == 2 else pair * math.ceil(times * chosen["nodes"] / pair)
-    return {**chosen, "nodes": nodes}
+    """So many times the nodes, in whole pairs a headway, and half the relaxation interval; what was given stays."""
+    pair, nodes, every = 2 * scene.fleet.count, chosen["nodes"], chosen["relax_every"]
+    if "nodes" not in given:
+        nodes = 2 * nodes if times == 2 else pair * math.ceil(times * nodes / pair)
+    if "relax_every" not in given:
+        every = max(1, every // 2)
+    return {**chosen, "nodes": nodes, "relax_every": every}
 
 
 def _refuse_insoluble(scene, nodes: int, hold: int) -> None:
