@@ -197,8 +197,12 @@ def work() -> None:
     answers.flush()
     while True:
         for point in batches.get():
-            pickle.dump(compute(task, [point]), answers)
-            answers.flush()
+            answer = compute(task, [point])
+            try:
+                pickle.dump(answer, answers)
+                answers.flush()
+            except OSError:  # whoever asked has been killed: no trace of that, and no wait for other threads
+                os._exit(0)
 
 
 def on_cluster(task: Task, points, client):
