@@ -3,6 +3,7 @@
 import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
+from matplotlib.ticker import NullFormatter
 
 from traffic_road.plots import BLACK, BLUE, GREEN, ORANGE, PURPLE, RED, SKY
 
@@ -112,6 +113,7 @@ def panel(axes, ds, name, question, what):
         if np.any(is_it & ~sound & ~np.isfinite(seconds)):  # refused: it took no time
             axes.plot(0.02, EDGE, "x", color=colour, ms=5, transform=axes.get_yaxis_transform())
     axes.set(xscale="log", yscale="log", ylim=(lowest / 2, 8.0))
+    axes.xaxis.set_minor_formatter(NullFormatter())  # over less than two decades the labels would overlap
     axes.axhline(1.0, color=BLACK, lw=0.5, ls=":")
     axes.grid(lw=0.3)
 
