@@ -56,7 +56,7 @@ class Predicted(NamedTuple):
     """Relative error; the part of it that is the model's own; what a run differs by from one at half the resolution.
 
     The last in units of its error, on the safe side; None where the plan knows no better than the model's PAIR_RATIO, KNOWN
-    where it has made the finer runs that tell the error.
+    where it has made the runs that tell the error: finer ones, or of cars beside this very run of the continuum.
     """
 
     error: float

@@ -164,7 +164,9 @@ def _run(keeper, progress, allow_unstable):
             begin = clock.perf_counter()
             known = chosen["pair_ratio"] if chosen and numerics == chosen["numerics"] else None
             if known == np.inf:
-                error, method = chosen["error"], "the plan's runs on this grid and on finer ones"
+                error = chosen["error"]
+                finest = "on this grid and on finer ones" if name == "cars" else "of this model and of cars"
+                method = f"the plan's runs {finest}"
             else:
                 error, method = _error_of(scene, name, numerics, last, known)
                 if chosen and chosen["model_error"] > 0:
@@ -173,11 +175,9 @@ def _run(keeper, progress, allow_unstable):
         else:
             error, method, estimate_time = float("inf"), "none: the run diverged", 0.0
         finer = module.finer(scene, numerics, given)
-        if (
-            chosen and name == "cars" and error > tolerance
-        ):  # no further than order 1 asks for: the plan was near already
-            enough = error / (MARGIN * tolerance)
-            finer = module.finer(scene, numerics, given, min(2.0, enough))
+        if chosen and name == "cars" and error > tolerance:
+            # no further than order 1 asks for: the plan was near already
+            finer = module.finer(scene, numerics, given, min(2.0, error / (MARGIN * tolerance)))
         if chosen and not chosen["error"] <= tolerance:
             finer = numerics  # the plan has tried finer ones
         if not error > tolerance or outside or status != "ok" or (finer == numerics and given):
