@@ -225,7 +225,9 @@ def remainder(state, curvature, square, weight, laws, references, switches, cosi
             _synthesise(waves[i], cosine, sine, over[i])
     if varying:
         _synthesise(state[0], cosine, sine, height)
-        waves[kinds] = curvature * state[0]
+        for c in range(2):
+            for m in range(uint64(modes)):
+                waves[kinds, c, m] = curvature[m] * state[0, c, m]
         _synthesise(waves[kinds], cosine, sine, bend)
         at_points(height, bend, over, weight, laws, references, rate, excess)
         _analyse(rate, cosine, sine, out)
@@ -248,8 +250,19 @@ def remainder(state, curvature, square, weight, laws, references, switches, cosi
 def parts(waves):
     """Complex waves (rows, modes) as series (rows, 2, modes)."""
     series = np.empty((waves.shape[0], 2, waves.shape[1]))
-    series[:, 0], series[:, 1] = waves.real, waves.imag
+    for i in range(waves.shape[0]):
+        for m in range(waves.shape[1]):
+            series[i, 0, m], series[i, 1, m] = waves[i, m].real, waves[i, m].imag
     return series
+
+
+@njit(**COMPILE)
+def _copy(target, source):
+    """Arrays (rows, 2, modes); numba compiles an assignment of slices for seconds."""
+    for i in range(source.shape[0]):
+        for c in range(2):
+            for m in range(uint64(source.shape[2])):
+                target[i, c, m] = source[i, c, m]
 
 
 @njit(**COMPILE)
@@ -286,11 +299,12 @@ def advance(waves, half, full, steps, curvature, square, weight, laws, reference
     work = workspace(modes, weight.size, cosine, switches[0])
     rates = np.zeros((4, 2, modes))
     known = np.zeros((size + powers, 2, modes))  # the state at the start of a step, then the polynomial
-    known[:size] = parts(waves)
-    stage = known[:size].copy()
+    stage = parts(waves)
+    _copy(known, stage)
     middle, end = np.empty((2, size, size + powers, 2, modes))
     for i in range(size):
-        middle[i], end[i] = parts(half[i]), parts(full[i])
+        _copy(middle[i], parts(half[i]))
+        _copy(end[i], parts(full[i]))
     looked_at = 0 if switches[0] else 1, 1 + weight.size  # rows of a stage that its remainder depends on
     for _ in range(steps):
         if not math.isfinite(stage[0, 0, 0]):
@@ -303,5 +317,7 @@ def advance(waves, half, full, steps, curvature, square, weight, laws, reference
             matrix, rows = middle if s < 2 else end, looked_at if s < 3 else (0, size)
             for i in range(rows[0], rows[1]):
                 _product(matrix[i], known[:used], stage[i])
-        known[:size] = stage
-    waves.real[:], waves.imag[:] = stage[:, 0], stage[:, 1]
+        _copy(known, stage)
+    for i in range(size):
+        for m in range(modes):
+            waves[i, m] = complex(stage[i, 0, m], stage[i, 1, m])

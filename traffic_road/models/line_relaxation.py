@@ -8,7 +8,7 @@ from numba import uint64
 from ..compiled import njit
 from ..laws import Constant
 from ..schemes.relaxation import band, relax_law, relax_transform, symbol
-from .even_layout import COMPILE
+from .even_layout import COMPILE, copy
 
 TILE = 512  # nodes worked on at a time: they stay in the first-level cache
 
@@ -33,7 +33,7 @@ def _scale(road, to, wide, centre, count, w):
 def relax_line(road, wide, weights):
     """road (nodes,) smoothed by the symmetric band `weights` (4 n + 1, padded with zeros); wide (nodes + 8 n,) is spare."""
     half, nodes = weights.size - 1, road.size
-    wide[half : half + nodes] = road
+    copy(wide, half, road, 0, nodes)
     for i in range(half):  # what has just been copied, if the band is wider than the ring
         wide[half - 1 - i] = wide[half - 1 - i + nodes]
         wide[half + nodes + i] = wide[half + i]

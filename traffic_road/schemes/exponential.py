@@ -119,7 +119,9 @@ def exponentials(matrices):
                 power[i, i] += 1.0
         for _ in range(squarings):
             _multiply(power, power, product)
-            power[:] = product
+            for i in range(size):  # numba compiles power[:] = product for seconds
+                for j in range(size):
+                    power[i, j] = product[i, j]
     return result
 
 
@@ -149,9 +151,14 @@ def eigenvectors(system: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray
 @njit(cache=True, error_model="numpy")
 def _eigenvectors(system):
     rate, shape, inverse = np.empty(system.shape[:2], system.dtype), np.empty_like(system), np.empty_like(system)
+    size = system.shape[1]
     for s in range(len(system)):
-        rate[s], shape[s] = np.linalg.eig(system[s])
-        inverse[s] = np.linalg.inv(shape[s])
+        values, vectors = np.linalg.eig(system[s])
+        back = np.linalg.inv(vectors)
+        for i in range(size):
+            rate[s, i] = values[i]
+            for j in range(size):
+                shape[s, i, j], inverse[s, i, j] = vectors[i, j], back[i, j]
     return rate, shape, inverse
 
 

@@ -78,7 +78,8 @@ def cross_headway(road, Z, P, held, A, B, half, law, from_before, lift_off):
             Z[i] = z[i] + b0 * new[i]
             P[i] = p[i] + c0 * new[i]
     # the car that enters a block next comes from the block behind
-    z[:], p[:] = Z, P
+    for i in range(cars):
+        z[i], p[i] = Z[i], P[i]
     for i in range(cars):
         Z[i], P[i] = z[i - 1], p[i - 1]
     for q in range(hold):
