@@ -332,7 +332,21 @@ def test_no_scheduler():
 
 def process(*arguments):
     command = [sys.executable, "-c", START, *arguments]
-    return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    telling = {**os.environ, "PYTHONFAULTHANDLER": "1"}  # where each thread is, should it be stopped by SIGABRT
+    return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=telling)
+
+
+def said(sweep, timeout):
+    """What the process of a sweep, and those it started, have left on stderr when all have ended."""
+    begin = time.monotonic()
+    try:
+        return sweep.communicate(timeout=timeout)[1]
+    except subprocess.TimeoutExpired:
+        took = time.monotonic() - begin
+        alive = [pid for pid, _ in processes(os.getcwd())] + ([sweep.pid] if sweep.poll() is None else [])
+        for pid in alive:
+            os.kill(pid, signal.SIGABRT)
+        pytest.fail(f"not ended after {took:.1f} s: {alive} of {sweep.pid} are alive. {sweep.communicate()[1]}")
 
 
 def stored():
@@ -370,7 +384,7 @@ def test_killed_and_interrupted_sweeps_go_on(folder, monkeypatch):
         time.sleep(0.1)
         sweep.send_signal(end)
         begin = time.monotonic()
-        _, err = sweep.communicate(timeout=20)
+        err = said(sweep, 20)
         after = stored()
         while processes(folder):  # they end with the pipe that fed them
             assert time.monotonic() - begin < 10

@@ -189,7 +189,7 @@ def work() -> None:
         while True:
             try:
                 batches.put(pickle.load(sys.stdin.buffer))
-            except (EOFError, OSError):
+            except (EOFError, OSError, pickle.UnpicklingError):  # no more, or half a batch: whoever sent it is gone
                 os._exit(0)  # in the midst of a point, too: nobody waits for it
 
     threading.Thread(target=listen, daemon=True).start()
