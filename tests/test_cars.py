@@ -11,9 +11,10 @@ from reference import plain_cars
 
 import traffic_road as tr
 from traffic_road.errors import SceneError, StabilityError
-from traffic_road.models import Sample, cars, even_kernels, even_relaxation
+from traffic_road.models import Sample, cars, cars_even, even_passages, even_relaxation
 from traffic_road.models.cars_mixed import mixed_samples
-from traffic_road.models.even_layout import get, layout, put
+from traffic_road.models.even_layout import get, layout, on_huge_pages, put
+from traffic_road.models.even_passages import LONG, SHORT, SLIGHT, met_bounded, met_exponential, passage
 from traffic_road.models.line_relaxation import LineRelaxation
 from traffic_road.schemes import relaxation
 from traffic_road.schemes.oscillator import propagator
@@ -526,30 +527,56 @@ def test_any_number_of_cars_is_the_kernel_of_mixed_fleets(count, rows, hold, dif
     assert even.airborne > 0 or count < 8
 
 
+@pytest.mark.parametrize("series", [LONG, SHORT], ids=["long", "short"])
 @pytest.mark.parametrize(("value", "shape"), [(0.006, 0.1), (0.006, 0.5), (0.05, 0.05)])
-def test_vectorised_passages_are_the_iteration(value, shape):
+def test_vectorised_passages_are_the_iteration(value, shape, series):
     rng = np.random.default_rng(3)
     half, b, level = 0.4, 1e-3, -2.0
-    numbers = even_kernels.passage(1.0, b, half, 1.0, (1, value, shape), level)
+    numbers = passage(1.0, b, half, 1.0, (1, value, shape), level, series)
     middle, reach, strain, *rest = numbers[6:]
-    sure = 0
-    for before, down in zip(level + rng.uniform(-0.8, 0.8, 4000) / shape, rng.uniform(-1.2, 6, 4000), strict=True):
+    sure, trials = 0, 8000
+    heights = level + rng.uniform(-1.3, 1.3, trials) * series.range / shape
+    for before, down in zip(heights, 7.2 * rng.uniform(size=trials) ** 3 - 1.2, strict=True):
         law = before, before - down
-        contact, after, sign, square = even_kernels._met_exponential(
-            *law, shape, 0.0, middle, *rest[:7], tuple(rest[7:])
+        contact, after, sign, square = met_exponential(
+            *law, shape, 0.0, middle, *rest[:7], tuple(rest[7:]), series is SHORT
         )
         wanted = contact_height(*law, b, half, 1.0, 1, value, shape, True)
-        if square <= strain and abs(before - level) <= even_kernels.RANGE / shape:
+        if square <= strain and abs(before - level) <= series.range / shape:
             sure += 1
             # 1e-12 of what the node sinks, and the rounding of a height of 10
-            assert contact == pytest.approx(wanted, abs=even_kernels.SLIGHT * (before - wanted) + 2e-14)
-            assert after == pytest.approx(2 * wanted - before, abs=2 * even_kernels.SLIGHT * (before - wanted) + 4e-14)
+            assert contact == pytest.approx(wanted, abs=SLIGHT * (before - wanted) + 2e-14)
+            assert after == pytest.approx(2 * wanted - before, abs=2 * SLIGHT * (before - wanted) + 4e-14)
             assert (sign > 0) == (wanted == before)
-        contact, after, _ = even_kernels._met_bounded(*law, b, 1.0, half, value, shape, 0.0)
+        contact, after, _ = met_bounded(*law, b, 1.0, half, value, shape, 0.0)
         wanted = contact_height(*law, b, half, 1.0, 2, value, shape, True)
         assert contact == pytest.approx(wanted, abs=1e-13) and after == pytest.approx(2 * wanted - before, abs=2e-13)
-    assert 400 < sure < 4000  # both sides of the guard
-    assert 0 < reach < even_kernels.RANGE / shape  # what a block may move by before the next look at it
+    assert 400 < sure < trials - 400  # both sides of the guard
+    assert 0 < reach < series.range / shape  # what a block may move by before the next look at it
+
+
+@pytest.mark.parametrize(("amplitude", "wanted"), [(1e-2, {True}), (0.45, {True, False}), (2.0, {False})])
+def test_short_series_are_taken_where_they_are_as_exact(monkeypatch, amplitude, wanted):
+    road = tr.Road(0.87 * 400, tr.Exponential(0.006, 0.1), 0.01, tr.Sine(amplitude, 2 * np.pi / 8.7))
+    case, taken, found = tr.Scene(road, tr.Fleet(400, 0.1), 400 * 0.87), [], []
+
+    def spy(*arguments):
+        law, short = even_passages.passage_about(*arguments)
+        taken.append(short)
+        return law, short
+
+    monkeypatch.setattr(cars_even, "passage_about", spy)
+    for least in (even_passages.MANY, np.inf):
+        monkeypatch.setattr(even_passages, "MANY", least)
+        found.append(run(case, [0.0, case.duration], nodes=400 * 16, hold=3, relax_every=40)[-1].road_height)
+    assert set(taken[: len(taken) // 2]) == wanted and not any(taken[len(taken) // 2 :])
+    np.testing.assert_allclose(*found, rtol=0, atol=1e-12)
+
+
+def test_huge_pages_are_zeros_of_the_size_asked_for():
+    for size in (3, 1 << 15, (1 << 15) - 1, 1 << 17, 1 << 19, (1 << 19) + 1):
+        found = on_huge_pages(size)
+        assert found.size == size and not found.any() and found.ctypes.data % 64 == 0
 
 
 @pytest.mark.parametrize("shape", [0.0, 1e-200, 0.3, 1e80, 1e308])

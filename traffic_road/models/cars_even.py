@@ -9,8 +9,9 @@ from ..laws import BOUNDED, CONSTANT, EXPONENTIAL
 from ..schemes import oscillator
 from . import Breath, Pace, Sample
 from .cars_state import force, kinds, level_of, sink_rate, start
-from .even_kernels import FIELDS, passage, recursion, scaled, sweep_even
-from .even_layout import aligned, get, layout, put, slots
+from .even_kernels import FIELDS, recursion, scaled, sweep_even
+from .even_layout import get, layout, on_huge_pages, put, slots
+from .even_passages import passage, passage_about
 from .even_relaxation import Relaxation, margin
 
 FAINT = 1e-9  # softness of a passage below which a force is lost in the rounding of the road, and no count of it kept
@@ -28,7 +29,7 @@ def even_samples(scene, times, order, first_node, left=None, *, nodes, hold, rel
     where_in = layout(count, rows, margin(scene, nodes, layout(count, rows), (relax_every / 2, relax_every)))
     threads = min(numba.get_num_threads(), where_in.panels)
     cars = _Cars(scene, node, hold, where_in, threads > 1)
-    road = aligned(where_in.size)
+    road = on_huge_pages(where_in.size)
     put(road, scene.road.profile.sample(scene.road.length, nodes), first_node + 1, where_in)
     relaxation = Relaxation(scene, nodes, where_in, threads)
     stretch = relax_every if relaxation.acts else STRETCH
@@ -103,13 +104,13 @@ class _Cars:
         self.law = passage(*self.passage, 0.0)
         self.newest = B[0, 0]
         self.lift_off, self.rows = scene.lift_off, rows
-        self.sweep = sweep_even(where_in.width, hold, kind, rows, parallel)
+        self.kernel = where_in.width, hold, kind, rows, parallel
 
         height = scene.road.profile.sample(scene.road.length, node.size * rows)
         Z, P, past = start(scene, height, node, np.zeros(count, dtype=int), distinct, hold)
         free = A[0, 0] * Z + A[0, 1] * P + past @ B[0, 1:]
         fields = FIELDS + hold
-        self.flat = aligned(self.layout.panels * self.layout.tiles * fields * self.layout.width)
+        self.flat = on_huge_pages(self.layout.panels * self.layout.tiles * fields * self.layout.width)
         self.state = self.flat.reshape(-1, fields, self.layout.width)
         self.where = slot, lane = slots(0, self.layout)  # of all cars, in the order of their places
         self.exponential = kind == EXPONENTIAL
@@ -135,6 +136,9 @@ class _Cars:
         """All cars cross `headways` blocks, the first of them being headway `done`."""
         slack = 0.0 if self.lift_off else np.inf
         slot, lane = self.where
+        short = False
         if self.exponential:
-            self.law = passage(*self.passage, float(np.mean(self.state[slot, FIELDS, lane])))
-        self.sweep(road, self.flat, self.layout, headways, done, self.coefficients, self.law, slack)
+            cars = self.state[slot, FIELDS, lane], self.state[slot, 1, lane]
+            self.law, short = passage_about(self.passage, *cars, headways * self.rows * slot.size)
+        sweep = sweep_even(*self.kernel, short)
+        sweep(road, self.flat, self.layout, headways, done, self.coefficients, self.law, slack)

@@ -17,24 +17,16 @@ Indices are unsigned: with signed ones the compiler must allow for wrap-around a
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 from numba import prange, uint64
-from numpy.polynomial.chebyshev import cheb2poly, chebpts1, chebvander
 
 from ..compiled import njit
 from ..laws import CONSTANT, EXPONENTIAL
 from ..schemes.passage import contact_height
 from .even_layout import COMPILE, aligned, copy, hand_over, row_of
+from .even_passages import DEEPEST, met, met_bounded, met_exponential
 
 FIELDS = 3  # of a car, before its contact heights: signs, f, f_-1
-DEEPEST = 16  # headways that go through a tile at a time
-RANGE, DEGREE = 0.6, 10  # shape times a height, about the level, for which a polynomial of the degree is right to 1e-13
-POINTS = chebpts1(DEGREE + 1)  # that polynomial's, and what makes its coefficients of the values there
-POWERS = np.array([cheb2poly(row) for row in np.linalg.inv(chebvander(POINTS, DEGREE)).T]).T
-SLIGHT = 1e-12  # of the sinking of a node, some thousandth of the load's length: the error allowed
-FEW = 4.4e-3  # shape times that sinking up to which a series of five terms is that good
 
 
 def recursion(A, B):
@@ -54,91 +46,6 @@ def scaled(A, B, half_softness, omega2):
     factor, offset = s * half_softness * omega2, -s * half_softness
     T, D, e = recursion(A, B)
     return np.concatenate(([offset * (1.0 - T - D), T, D], factor * e)), s, factor, offset
-
-
-def passage(s, b, half, omega2, law, level):
-    """Numbers of the passage: s, b, half, omega^2, value, shape; for an exponential law about a road at `level` the rest."""
-    kind, value, shape = law
-    first, rest = np.array([s, b, half, omega2, value, shape]), np.zeros(10 + DEGREE + 1)
-    if kind == EXPONENTIAL:
-        with np.errstate(all="ignore"):
-            rest[:] = _about(level, half * value, np.float64(shape), omega2 * (1.0 - b))
-        if not np.isfinite(np.delete(rest, STRAIN)).all():
-            rest[:], rest[REACH] = 0.0, -1.0  # every block is crossed carefully
-    return np.concatenate((first, rest))
-
-
-LEVEL, REACH, STRAIN = range(3)
-
-
-def _about(level, most, shape, g2):
-    """level; how far from it a block may begin; x_0^2 of a few passages, at most; shape; g_2 shape; coefficients."""
-    scale = most * np.exp(shape * level)
-    per_weight = POWERS @ (-scale / (np.exp(-RANGE * POINTS) + g2 * scale))
-    least, greatest = 1.0 / (1.0 + g2 * scale * np.exp(RANGE)), 1.0 / (1.0 + g2 * scale * np.exp(-RANGE))
-    k, spread = 0.5 * (least + greatest), 0.5 * (greatest - least)
-    few = min(
-        FEW,
-        (SLIGHT / (2.5 * spread**2)) ** (1 / 3),
-        (SLIGHT / (31.0 * spread**2)) ** (1 / 4),
-        (SLIGHT / (64.0 * spread)) ** (1 / 5),
-    )
-    c3, d3 = -5.0 * k**2 + 1 / 6 + 2.5 * spread**2, 10.0 * k - 2.5
-    c4, d4 = -28.0 * k**3 + 10.5 * k**2 - 1 / 24, 42.0 * k**2 - 21.0 * k + 1.75
-    c5 = 42.0 * k**4 - 42.0 * k**3 + 35 / 3 * k**2 - 7 / 8 * k + 1 / 120
-    series = shape**2 * c3, shape * d3, shape**3 * c4, shape**2 * d4, shape**4 * c5
-    reach = (RANGE - 2.1 * DEEPEST * few) / shape
-    powers = (shape / RANGE) ** np.arange(DEGREE + 1)
-    return [level, reach, (few / shape) ** 2, g2, shape * g2, *series, *per_weight * powers]
-
-
-@njit(**COMPILE)
-def _met(H, f, s, slack):
-    """Contact height, height after and -1 for a passage with contact, 1 without: constant softness."""
-    pressed = s * H + f
-    ceiling = H + slack
-    h = ceiling if ceiling < pressed else pressed  # in this order a NaN is kept
-    change = h - H
-    return h, h + change, math.copysign(1.0, change)
-
-
-@njit(**COMPILE)
-def _met_bounded(H, z_star, b, omega2, half, value, shape, least):
-    """The same for alpha = value max(0, 1 + shape h): x = h - H is the smaller root of a quadratic."""
-    weight = 1.0 + omega2 * (H - z_star - b * H)
-    w = least if weight < least else weight
-    slope, gain = omega2 * (1.0 - b), half * value * shape
-    p = half * value + gain * H
-    p = 0.0 if p < 0.0 else p
-    q = 1.0 + p * slope + gain * w
-    x = -2.0 * p * w / (q + math.sqrt(q * q - 4.0 * gain * slope * p * w))
-    return H + x, H + 2.0 * x, 1.0 if weight <= 0.0 else -1.0
-
-
-@njit(**COMPILE)
-def _met_exponential(H, f, shape, least, level, g2, slope, c3, d3, c4, d4, c5, u):
-    """The same for alpha = value exp(shape h), and x_0^2, to tell whether it is right; f = omega^2 z*.
-
-    With E = half alpha(H), w the force at H: x (g_2 + exp(-shape x)/E) = -w, g_2 = omega^2 (1 - b). With k = 1/(1 + E g_2),
-    x_0 = -E k w and t = shape x_0, x = x_0 (1 + k t (1 + t (2 k - 1/2 + t (5 k^2 - 5 k/2 + 1/6 + t (c_4 + c_5 t))))). The
-    quadratic and c_4 are straight lines over the range of k, c + d k, and c_5 is that at its middle; all are scaled to
-    shape k and x_0 in place of k and t. -E k depends on H alone, a polynomial u about the level; and k = 1 - g_2 E k: no
-    exponential and no division are left.
-    """
-    d = H - level
-    d2 = d * d
-    even = u[0] + d2 * (u[2] + d2 * (u[4] + d2 * (u[6] + d2 * (u[8] + d2 * u[10]))))
-    per_weight = even + d * (u[1] + d2 * (u[3] + d2 * (u[5] + d2 * (u[7] + d2 * u[9]))))
-    k = shape + slope * per_weight
-    ahead = 1.0 + g2 * H  # all to here can be known before the car comes
-    weight = ahead - f
-    w = least if weight < least else weight
-    x0 = per_weight * w
-    square = x0 * x0
-    q = (2.0 * k - 0.5 * shape) + x0 * ((c3 + d3 * k) + x0 * ((c4 + d4 * k) + c5 * x0))
-    x = x0 + (x0 * k) * (x0 + square * q)
-    h = H + x
-    return h, h + x, -math.copysign(1.0, weight), square
 
 
 @njit(**COMPILE)
@@ -180,7 +87,7 @@ def _carefully(road, at, rows, width, lanes, state, car, hold, c, law, least):
             state[k + (FIELDS + q) * width] = heights[q + 1]
 
 
-def _make_sweep(width, hold, kind, unroll, parallel):
+def _make_sweep(width, hold, kind, unroll, parallel, short):
     """The sweep for one width, one hold and one kind of law; `unroll` divides the rows. All are constants of the loop.
 
     Only numbers are closed over: with a compiled function among them the cache on disk would never be found again.
@@ -194,7 +101,7 @@ def _make_sweep(width, hold, kind, unroll, parallel):
 
         road and state flat. c: constant, T, -D, e_0.. of the recursion; law: `passage`. slack: 0, infinite without lift-off.
         """
-        _ = parallel  # read, since only what is read tells compiled loops on the disk apart
+        _ = parallel, short  # read, since only what is read tells compiled loops on the disk apart
         tiles, rows = layout.tiles, layout.rows
         c0, T, D, e0, e1 = c[0], c[1], c[2], c[3], c[4]
         if hold > 1:
@@ -250,14 +157,14 @@ def _make_sweep(width, hold, kind, unroll, parallel):
                                     for node in range(unroll):
                                         x = at + uint64(node) * W1 + i
                                         if kind == CONSTANT:
-                                            h, road[x], sign = _met(road[x], f, s, slack)
+                                            h, road[x], sign = met(road[x], f, s, slack)
                                         elif kind == EXPONENTIAL:
-                                            h, road[x], sign, square = _met_exponential(
-                                                road[x], f, shape, least, level, g2, slope, c3, d3, c4, d4, c5, u
+                                            h, road[x], sign, square = met_exponential(
+                                                road[x], f, shape, least, level, g2, slope, c3, d3, c4, d4, c5, u, short
                                             )
                                             strained = square if square > strained else strained
                                         else:
-                                            h, road[x], sign = _met_bounded(
+                                            h, road[x], sign = met_bounded(
                                                 road[x], f, b, omega2, half, value, shape, least
                                             )
                                         a += sign
@@ -300,10 +207,10 @@ def _make_sweep(width, hold, kind, unroll, parallel):
 _sweeps: dict = {}
 
 
-def sweep_even(width: int, hold: int, kind: int, rows: int, parallel: bool = False):
-    """The compiled sweep for this width, hold (1, 3, 5), kind of law and rows."""
+def sweep_even(width: int, hold: int, kind: int, rows: int, parallel: bool = False, short: bool = False):
+    """The compiled sweep for this width, hold (1, 3, 5), kind of law and rows; `short` as in `even_passages`."""
     unroll = next(u for u in (4, 3, 2, 1) if rows % u == 0)
-    key = width, hold, kind, unroll, parallel
+    key = width, hold, kind, unroll, parallel, short
     if key not in _sweeps:
         _sweeps[key] = _make_sweep(*key)
     return _sweeps[key]
