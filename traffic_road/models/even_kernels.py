@@ -25,6 +25,7 @@ from ..laws import CONSTANT, EXPONENTIAL
 from ..schemes.passage import contact_height
 from .even_layout import COMPILE, aligned, copy, hand_over, row_of
 from .even_passages import DEEPEST, met, met_bounded, met_exponential
+from .stack import align_stack
 
 FIELDS = 3  # of a car, before its contact heights: signs, f, f_-1
 
@@ -121,6 +122,7 @@ def _make_sweep(width, hold, kind, unroll, parallel, short):
             headways = min(deepest, end_of_all - done)
             if headways > 1 or wedge:
                 for panel in prange(layout.panels):
+                    align_stack()
                     saved = aligned((unroll + FIELDS + hold) * width if kind == EXPONENTIAL else 0)
                     begin, end = (1, tiles) if wedge else (0, headways)
                     if headways == 1:

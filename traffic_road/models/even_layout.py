@@ -14,6 +14,7 @@ tiles, so that nothing need be moved but at the lanes' ends (`hand_over`).
 
 from __future__ import annotations
 
+import mmap
 from typing import NamedTuple
 
 import numpy as np
@@ -66,14 +67,17 @@ def aligned(size):
 
 
 def on_huge_pages(size: int) -> np.ndarray:
-    """`aligned`, for what is to stay in the second-level cache: at the start of a huge page, where the system has those.
+    """`aligned`, at the start of a huge page where the system has those: some per cent faster, with fewer pages to look up.
 
-    On pages of 4 kB, which lie anywhere, some processes find too many of them in the same places of the cache, and are a
-    fifth slower to their end. numpy asks the system for huge pages from 4 MB on; what is not touched takes no memory.
+    For larger arrays numpy asks for huge pages itself.
     """
-    if not LEAST_HUGE <= 8 * size <= MOST_HUGE:
+    if not (hasattr(mmap, "MADV_HUGEPAGE") and LEAST_HUGE <= 8 * size <= MOST_HUGE):
         return aligned(size)
-    wide = np.zeros((MOST_HUGE + HUGE_PAGE) // 8)
+    pages = -(-8 * size // HUGE_PAGE)
+    # not from the heap, whose pages have been used before; what is not touched, before the first huge page, takes no memory
+    memory = mmap.mmap(-1, (pages + 1) * HUGE_PAGE, flags=mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS)
+    memory.madvise(mmap.MADV_HUGEPAGE)
+    wide = np.frombuffer(memory)
     skip = -wide.ctypes.data % HUGE_PAGE // 8
     return wide[skip : skip + size]
 
