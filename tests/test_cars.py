@@ -1,5 +1,6 @@
 """The cars model against its closed forms, its Floquet matrix and a plain loop."""
 
+import platform
 import subprocess
 import sys
 from dataclasses import replace
@@ -16,6 +17,7 @@ from traffic_road.models.cars_mixed import mixed_samples
 from traffic_road.models.even_layout import get, layout, on_huge_pages, put
 from traffic_road.models.even_passages import LONG, SHORT, SLIGHT, met_bounded, met_exponential, passage
 from traffic_road.models.line_relaxation import LineRelaxation
+from traffic_road.models.stack import align_stack
 from traffic_road.schemes import relaxation
 from traffic_road.schemes.oscillator import propagator
 from traffic_road.schemes.passage import contact_height
@@ -577,6 +579,24 @@ def test_huge_pages_are_zeros_of_the_size_asked_for():
     for size in (3, 1 << 15, (1 << 15) - 1, 1 << 17, 1 << 19, (1 << 19) + 1):
         found = on_huge_pages(size)
         assert found.size == size and not found.any() and found.ctypes.data % 64 == 0
+
+
+@pytest.mark.skipif(platform.machine() not in ("x86_64", "AMD64"), reason="looks for an x86 instruction")
+def test_the_stack_begins_at_a_cache_line():
+    def plain():
+        return 1
+
+    def aligned():
+        align_stack()
+        return 1
+
+    found = []
+    for function in (plain, aligned):
+        compiled = numba.njit(function)
+        assert compiled() == 1
+        (text,) = compiled.inspect_asm().values()
+        found.append("$-64, %rsp" in text)
+    assert found == [False, True]
 
 
 @pytest.mark.parametrize("shape", [0.0, 1e-200, 0.3, 1e80, 1e308])
