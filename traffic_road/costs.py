@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from .errors import TrafficRoadError
 from .laws import Constant, Exponential
 from .models import linear
 from .models.continuum_state import FEW_NODES, FEW_NODES_VARYING, Kinds, constant
@@ -31,6 +32,35 @@ REACH = 17.0  # of the weights along lanes in nodes, over the root of that: belo
 # a step of the continuum; its waves two by two, or transformed
 STEP, WAVES, CONTACT, STEP_LAW, WAVES_LAW, WAVES_TRANSFORM = 3e-6, 2.5e-9, 5e-8, 20e-6, 16e-9, 1.0e-6
 CALL_LAW, RELAX_LAW = 0.3e-3, 85e-9  # a relaxation where diffusivity varies; a node and a polynomial's degree
+
+LOOK = 3e-9  # when cars take off: a wave, by the exponential or the eigenvalues of a matrix; its size cubed
+FREE = 1.0  # seconds that planning may take of any scene
+TIMES = 10.0  # the run that is planned, which planning may take besides
+
+
+class TooDear(TrafficRoadError):
+    """A plan's run that would take longer than planning may."""
+
+
+class Purse:
+    """Predicted seconds that a plan's own runs have taken, and may: predicted, so that a scene has one plan anywhere."""
+
+    def __init__(self, allowed: float = FREE):
+        self.spent, self.allowed = 0.0, allowed
+
+    def covers(self, cost: float) -> bool:
+        return self.spent + cost <= self.allowed
+
+    def pay(self, cost: float) -> None:
+        """TooDear, and nothing paid, where that would be more than it may."""
+        if not self.covers(cost):
+            raise TooDear(f"{self.spent + cost:.2g} s of planning, of {self.allowed:.2g} s allowed")
+        self.spent += cost
+
+
+def of_outlook(scene, matrices: int) -> float:
+    """Of `takes_off`, a matrix for every wave and moment that it looks at."""
+    return matrices * LOOK * (2 * len(Kinds.of(scene.fleet).speed) + 2) ** 3
 
 
 def of_cars(scene, numerics: dict, even: bool) -> float:

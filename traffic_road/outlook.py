@@ -24,6 +24,14 @@ def constant_laws(scene) -> bool:
     return all(isinstance(law, Constant) for law in (scene.road.softness, scene.road.diffusivity))
 
 
+def matrices(scene) -> int:
+    """Of how many waves and moments `takes_off` asks for a matrix."""
+    waves = scene.road.profile.highest_wave(scene.road.length)
+    if not scene.lift_off:
+        return 0
+    return waves + 1 if constant_laws(scene) else LOOKS * min(STRONGEST, waves)
+
+
 def takes_off(scene) -> float | None:
     """When small waves will have grown until cars take off, by linear theory; None if not within the duration.
 

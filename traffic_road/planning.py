@@ -14,7 +14,7 @@ from .errors import SceneError, StabilityError, shown
 from .laws import finite
 from .models import MODELS, continuum, linear, model
 from .models.continuum_state import linear_throughout
-from .outlook import constant_laws, takes_off, whole_headways
+from .outlook import constant_laws, matrices, takes_off, whole_headways
 from .predict import ByRuns, ByTheory, Predicted
 from .scene import Scene
 
@@ -74,6 +74,9 @@ def plan(scene, tolerance: float = 1e-3, **numerics) -> Plan:
     tolerance: relative error of the corrugation (L2 over the road, mean removed) at the end, against the discrete scene:
     cars on a fine grid, the road relaxed every headway. numerics: nodes, hold, relax_every, step, to be kept as given.
     Where nothing that was tried will do, the cheapest that is nearly as good as the best, and `reason` says so.
+    Planning takes at most costs.FREE, thrice (to look when cars take off, to ask linear theory, to make runs of its own), and
+    costs.TIMES the cost of the run that it plans, all as predicted, which is right within two or so; `reason` says what was
+    left out for that.
     SceneError, StabilityError: a scene or numerics that no model can run.
     """
     begin = clock.perf_counter()
@@ -83,22 +86,31 @@ def plan(scene, tolerance: float = 1e-3, **numerics) -> Plan:
     for name in sorted(set(numerics) - set(KEYWORDS)):
         raise SceneError(f"{name}: not a parameter of any model; they take {', '.join(KEYWORDS)}")
     models = _that_take(scene, numerics)
-    lost = takes_off(scene)
-    even = linear.is_even(scene)
-    if constant_laws(scene) and lost is None and even:
-        predicted = ByTheory(scene, tolerance)
-        options = _by_theory(scene, models, numerics, predicted)
+    purse, left_out = costs.Purse(), []
+    looked = costs.of_outlook(scene, matrices(scene)) <= costs.FREE
+    if not looked:
+        left_out.append("when cars take off")
+    lost = takes_off(scene) if looked else None
+    pressed, theory = looked and lost is None, None
+    if constant_laws(scene) and pressed and linear.is_even(scene):
+        theory = ByTheory(scene, tolerance)
+    if theory and theory.cost(ROWS, INTERVALS) > costs.FREE:
+        theory = None
+        left_out.append("linear theory")
+    if theory:
+        predicted, options = theory, _by_theory(scene, models, numerics, theory)
     else:
-        predicted = ByRuns(scene, tolerance)
-        options = _by_runs(scene, models, numerics, predicted, lost)
-    chosen, error, tried = _cheapest(scene, options, tolerance)
+        predicted = ByRuns(scene, tolerance, purse=purse)
+        options = _by_runs(scene, models, numerics, predicted, pressed)
+    chosen, error, tried, dear = _cheapest(scene, options, tolerance, purse)
+    left_out += dear
     return Plan(
         chosen.model,
         model(chosen.model).numerics(scene, chosen.numerics),
         *error,
         chosen.cost,
         tolerance,
-        _reason(scene, predicted, chosen, error, tolerance, lost, tried),
+        _reason(scene, predicted, chosen, error, tolerance, lost, tried, looked, left_out),
         clock.perf_counter() - begin,
     )
 
@@ -118,10 +130,15 @@ def _that_take(scene, given: dict) -> set[str]:
     return found
 
 
-def _cheapest(scene, options: list[Option], tolerance: float):
-    """The first, by cost, whose error is small enough, or the one of least error; its error; the others' by model."""
+def _cheapest(scene, options: list[Option], tolerance: float, purse: costs.Purse):
+    """The first, by cost, whose error is small enough, or the one of least error; its error; the others' by model.
+
+    And the models some of whose runs were left out: to know their errors would have cost more than `purse` allows, which is
+    measured by what would be chosen so far. That only ever becomes dearer, so the bound holds for what is chosen.
+    """
     tried: dict = {}
     known: list = []
+    dear: list = []
     options = sorted(options, key=lambda option: option.cost)
     for option in options:
         if option.cost > max(LONG, 10 * options[0].cost):
@@ -130,19 +147,29 @@ def _cheapest(scene, options: list[Option], tolerance: float):
             continue  # the error that is the model's own stays however fine
         try:
             model(option.model).numerics(scene, option.numerics)
+            purse.allowed = costs.FREE + costs.TIMES * (_nearest(known) or (option,))[0].cost
             error = option.error()
+        except costs.TooDear:
+            if option.model not in dear:
+                dear.append(option.model)
+            continue
         except (SceneError, StabilityError):
             continue
         if not error[0] >= tried.get(option.model, (np.inf,))[0]:
             tried[option.model] = error
         known.append((option, error))
         if error[0] <= SAFE * tolerance:
-            return option, error, tried
+            return option, error, tried, dear
+    if nearest := _nearest(known):
+        return *nearest, tried, dear
+    rest = sorted((option.model != "cars", n) for n, option in enumerate(options))
+    return options[rest[0][1]], Predicted(np.inf), tried, dear
+
+
+def _nearest(known: list) -> tuple | None:
+    """The first that is nearly as good as the best, None if none is of any use."""
     least = min((error[0] for _, error in known), default=np.inf)
-    if not np.isfinite(least):
-        rest = sorted((option.model != "cars", n) for n, (option, _) in enumerate(known))
-        return (known[rest[0][1]][0] if known else options[0]), Predicted(np.inf), tried
-    return *next((option, error) for option, error in known if error[0] <= NEARLY * least), tried
+    return next(((o, e) for o, e in known if e[0] <= NEARLY * least), None) if np.isfinite(least) else None
 
 
 def _options(name: str, models: set, trials: list[dict], given: dict, cost: Callable, error: Callable) -> list[Option]:
@@ -187,13 +214,15 @@ def _by_theory(scene, models, given, theory: ByTheory) -> list[Option]:
     ]  # fmt: skip
 
 
-def _by_runs(scene, models, given, runs: ByRuns, lost) -> list[Option]:
+def _by_runs(scene, models, given, runs: ByRuns, pressed: bool) -> list[Option]:
+    """pressed: it is known that no car takes off."""
     options = _options(
         "cars", models, _cars(scene), given,
         lambda numerics: costs.of_cars(scene, numerics, runs.even and numerics["nodes"] % scene.fleet.count == 0),
         runs.cars,
     )  # fmt: skip
-    if constant_laws(scene) and lost is None and "linear" in models:  # the continuum would be the same
+    # the continuum would be the same, but for an even fleet, whose matrices are what is too dear
+    if constant_laws(scene) and pressed and not runs.even and "linear" in models:
         return options + _options(
             "linear", models, [linear.numerics(scene, {})], given,
             lambda numerics: costs.of_linear(scene, numerics, runs.waves, False),
@@ -201,7 +230,10 @@ def _by_runs(scene, models, given, runs: ByRuns, lost) -> list[Option]:
         )  # fmt: skip
     if "continuum" not in models:
         return options
-    most = continuum.numerics(scene, {})["nodes"]
+    try:
+        most = continuum.numerics(scene, {})["nodes"]
+    except SceneError:  # too many kinds of car
+        return options
     grids = [most]
     while grids[-1] % 2 == 0 and grids[-1] // 2 >= runs.least_continuum:
         grids.append(grids[-1] // 2)
@@ -214,17 +246,24 @@ def _by_runs(scene, models, given, runs: ByRuns, lost) -> list[Option]:
     )  # fmt: skip
 
 
-def _reason(scene, predicted, chosen, error, tolerance, lost, tried) -> str:
+def _reason(scene, predicted, chosen, error, tolerance, lost, tried, looked, left_out) -> str:
     lines = [f"by {predicted.words}"]
     growth = "small waves" if constant_laws(scene) else "small waves on the settling road"
     if lost is not None:
         lines.append(f"cars take off at about time {lost:.3g}, by the growth of {growth}")
-    elif scene.lift_off and isinstance(predicted, ByRuns):
+    elif scene.lift_off and looked and isinstance(predicted, ByRuns):
         lines.append(f"no car takes off, by the growth of {growth}")
     for name, (least, own, _) in tried.items():
         if name != chosen.model and least > SAFE * tolerance:
             lines.append(f"{name} would be off by {least:.1e}" + (", whatever its resolution" if own else ""))
-    if not np.isfinite(error[0]):
+    if left_out:
+        lines.append(
+            f"left out, since it would make planning longer than {costs.FREE:g} s and {costs.TIMES:g} times the run: "
+            f"{', '.join(left_out)} (to have a model all the same, name it and its nodes)"
+        )
+    if not np.isfinite(error[0]) and left_out:
+        lines.append("no error could be predicted: name the model and its nodes, and see what its run estimates")
+    elif not np.isfinite(error[0]):
         lines.append("nothing can be predicted: the road runs away")
     elif error[0] > SAFE * tolerance:
         lines.append(f"nothing that was tried is surely within {tolerance:g}: this is the nearest")

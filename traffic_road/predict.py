@@ -16,6 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from . import costs
 from .errors import SceneError, StabilityError
 from .estimate import corrugation_difference
 from .models import cars, continuum, linear
@@ -28,6 +29,7 @@ CAUTION = 0.7  # of a predicted difference of two runs: the less it is, the larg
 MOST_LEVELS, MOST_NODES = 6, 20_000  # of coarse runs of an uneven fleet
 LEAST_CONTINUUM = 16  # nodes, below which nothing is gained
 FINE_STEP = 0.5  # of the continuum, where only its model is in question
+STEPS_STAY = 0.5  # order without diffusion: a jump stays where each lap begins, and a grid leaves out its short waves
 HARDLY = 1e-13  # error below which nothing can be told from rounding
 
 
@@ -84,14 +86,28 @@ class ByTheory:
         self.highest = int(field.waves[-1])
         self.mean_field = np.zeros(max(2, int(field.waves[-1]) + 1), dtype=complex)
         self.mean_field[field.waves] = y[:, 0]
+        self.classes = np.unique(np.append(np.minimum(self.strongest % self.count, -self.strongest % self.count), 0))
+        self.sharp = scene.road.diffusivity.value == 0
+        self._roads: dict = {}
+
+    def cost(self, grids, intervals) -> float:
+        """Most predicted seconds of all that is asked of it, the rows of cars on `grids` relaxed at `intervals` headways."""
+        rows = [max(4, self.least)]
+        while len(rows) < 2 or rows[-1] <= FINEST:
+            rows.append(2 * rows[-1])
+        known = {max(min(n, FINEST), self.least) for n in grids if n >= self.least}
+        rows += len(intervals) * sorted(known)
+        return sum(costs.of_linear(self.scene, {"nodes": n * self.count}, self.classes.size, True) for n in rows)
 
     def _road(self, rows, **scheme):
         """Heights at the end by a scheme, of the uniform and the strongest waves alone."""
-        classes = np.unique(np.append(np.minimum(self.strongest % self.count, -self.strongest % self.count), 0))
-        with np.errstate(all="ignore"):
-            blocks = linear.Blocks(self.scene, rows, classes=classes, **scheme)
-            intervals = whole_headways(self.scene) // scheme.get("relax_every", 1)
-            return blocks.road(blocks.after(blocks.y, intervals), rows * self.count)
+        key = rows, *sorted(scheme.items())
+        if key not in self._roads:
+            with np.errstate(all="ignore"):
+                blocks = linear.Blocks(self.scene, rows, classes=self.classes, **scheme)
+                intervals = whole_headways(self.scene) // scheme.get("relax_every", 1)
+                self._roads[key] = blocks.road(blocks.after(blocks.y, intervals), rows * self.count)
+        return self._roads[key]
 
     @cached_property
     def _levels(self):
@@ -104,8 +120,9 @@ class ByTheory:
             roads.append(self._road(rows[-1]))
             differences.append(relative(roads[-1], roads[-2]))
         rate = order(differences[-2:], 0.4, 2.0) if len(differences) > 1 else 1.0
-        # what is left of the finest, by the order: all errors against what that tells of the limit
-        left = differences[-1] / (2**rate - 1)
+        # what is left of the finest, by the order: all errors against what that tells of the limit. Without diffusion it is
+        # e of order 1/2 by the short waves that a grid leaves out, so that the difference is the root of 2 e^2 - e^2
+        left = differences[-1] / (1.0 if self.sharp else 2**rate - 1)
         return rows, roads, [sum(differences[n:]) + left for n in range(len(rows))], rate
 
     @property
@@ -122,17 +139,19 @@ class ByTheory:
         if rows in levels:
             return errors[levels.index(rows)]
         near = max((r for r in levels if r < rows), default=levels[0])
-        return errors[levels.index(near)] * (near / rows) ** rate
+        slope = min(rate, STEPS_STAY) if self.sharp and rows > levels[-1] else rate
+        return errors[levels.index(near)] * (near / rows) ** slope
 
     def cars(self, numerics: dict) -> float:
         rows = numerics["nodes"] // self.count
-        known = min(rows, FINEST)
+        known = max(min(rows, FINEST), self.least)
         road = self._road(known, hold=numerics["hold"], relax_every=numerics["relax_every"], offset=0.0)
         if known == rows:
             return relative(self.truth, road) + self.left
         often = self._road(known, hold=5, offset=0.0)
-        grid = relative(self.truth, often) * known / rows  # the ripple, at order 1
-        return relative(often, road) + grid + self.left
+        # the ripple, at order 1; that of the truth is not in it, or cars finer than the truth would never be better
+        grid = (relative(self.truth, often) + self.left) * (known / rows) ** (STEPS_STAY if self.sharp else 1.0)
+        return relative(often, road) + grid
 
     @cached_property
     def continuum(self) -> float:
@@ -149,8 +168,9 @@ class ByTheory:
 class ByRuns:
     """Errors by coarse runs: two of cars, one on twice the nodes, a third where the tolerance asks for it; and of others."""
 
-    def __init__(self, scene, tolerance: float, hold: int = 5):
+    def __init__(self, scene, tolerance: float, hold: int = 5, purse: costs.Purse | None = None):
         self.scene, self.tolerance, self.hold = scene, tolerance, hold
+        self.purse = purse or costs.Purse(np.inf)
         self.piece = piece(scene)
         self.even = linear.is_even(scene)
         self.waves = scene.road.profile.highest_wave(scene.road.length) + 1
@@ -171,8 +191,16 @@ class ByRuns:
         key = nodes, relax_every
         if key not in self._runs:
             numerics = cars.numerics(self.piece, {"nodes": nodes, "hold": self.hold, "relax_every": relax_every})
+            self.purse.pay(self._cost(numerics))
             self._runs[key] = self._end_of(cars, numerics)
         return self._runs[key]
+
+    def _cost(self, numerics) -> float:
+        """Predicted seconds of cars on the piece."""
+        return costs.of_cars(self.piece, numerics, self.even and numerics["nodes"] % self.piece.fleet.count == 0)
+
+    def _affords(self, nodes: int) -> bool:
+        return self.purse.covers(self._cost({"nodes": nodes, "hold": self.hold, "relax_every": 1}))
 
     def _end_of(self, model, numerics):
         with np.errstate(all="ignore"):
@@ -194,10 +222,15 @@ class ByRuns:
 
     @cached_property
     def _levels(self):
-        """Nodes of the coarse grids, their errors, and the order."""
+        """Nodes of the coarse grids, their errors, and the order: of what finer ones leave 1 at most.
+
+        The steps that wheels roll down are of order 1 and last. Where coarse grids seem of a higher one, what is smooth
+        still errs more there, and is gone from finer ones; with d, the last difference, no more than d is left of both.
+        """
         nodes = [self.least, 2 * self.least]
         first = relative(self._cars(nodes[1]), self._cars(nodes[0]))
-        if first <= ENOUGH * self.tolerance:  # even at order 1 the better one is as good as that
+        # even at order 1 the better one is as good as that; nor is more told where a third costs more than it may
+        if first <= ENOUGH * self.tolerance or not self._affords(2 * nodes[-1]):
             return nodes, [2 * first, first], 1.0
         nodes.append(2 * nodes[-1])
         differences = [first, relative(self._cars(nodes[2]), self._cars(nodes[1]))]
@@ -205,7 +238,7 @@ class ByRuns:
         while not self.even and self._too_far(nodes, differences[-1]):
             nodes.append(2 * nodes[-1])
             differences.append(relative(self._cars(nodes[-1]), self._cars(nodes[-2])))
-        rate = order(differences, 0.5, 2.0)
+        rate = order(differences, 0.5, 1.0)
         left = differences[-1] / (2**rate - 1)
         errors = [left + sum(differences[n:]) for n in range(len(nodes))]
         return nodes, errors, rate
@@ -213,14 +246,17 @@ class ByRuns:
     def _too_far(self, nodes, difference) -> bool:
         """Whether the tolerance asks for more than 4 times these nodes, as many as two more runs would not tire."""
         return (
-            difference > 4 * self.tolerance and len(nodes) < MOST_LEVELS and nodes[-1] < MOST_NODES and difference < 1
+            difference > 4 * self.tolerance
+            and len(nodes) < MOST_LEVELS
+            and nodes[-1] < MOST_NODES
+            and difference < 1
+            and self._affords(2 * nodes[-1])
         )
 
     def _grid(self, nodes: float) -> float:
         levels, errors, rate = self._levels
         near = max((n for n in levels if n <= nodes), default=levels[0])
-        slope = rate if nodes < levels[-1] else min(rate, 1.0)  # on fine grids steps at the wheels are all that is left
-        return errors[levels.index(near)] * (near / nodes) ** slope
+        return errors[levels.index(near)] * (near / nodes) ** rate
 
     def cars(self, numerics: dict) -> Predicted:
         """Error of cars, and by how many times it they will differ from a run at half the resolution."""
@@ -253,6 +289,11 @@ class ByRuns:
         module = {"continuum": continuum, "linear": linear}[name]
         numerics = module.numerics(self.piece, numerics | {"nodes": self._of_piece(numerics["nodes"])})
         truth, left = self._truth
+        if name == "linear":
+            cost = costs.of_linear(self.piece, numerics, self.waves, False)
+        else:
+            cost = costs.of_continuum(self.piece, numerics, False)
+        self.purse.pay(cost)
         return relative(truth, self._end_of(module, numerics)) + left
 
     @cached_property
