@@ -113,3 +113,12 @@ def test_what_linear_theory_would_cost_too_much_for_runs_tell(monkeypatch):
     truth = 2 * road(case, 128)[::2] - road(case, 64)
     *_, last = model(planned.model).samples(case, np.array([0.0, case.duration]), planned.numerics)
     assert corrugation_difference(truth, last.road_height) <= planned.error <= 1e-3
+
+
+def test_an_error_that_planning_may_not_look_for_is_not_told(monkeypatch):
+    monkeypatch.setattr(costs, "FREE", 0.0)
+    monkeypatch.setattr(costs, "TIMES", 0.01)
+    planned = tr.plan(DEAR["bouncing"], 1e-2, step=4.0)
+    assert planned.model == "continuum" and planned.error == np.inf
+    assert "no error could be predicted: name the model" in planned.reason
+    assert tr.simulate(DEAR["bouncing"], tolerance=1e-2, samples=2, step=4.0).error_estimate == np.inf

@@ -163,7 +163,8 @@ def _cheapest(scene, options: list[Option], tolerance: float, purse: costs.Purse
     if nearest := _nearest(known):
         return *nearest, tried, dear
     rest = sorted((option.model != "cars", n) for n, option in enumerate(options))
-    return options[rest[0][1]], Predicted(np.inf), tried, dear
+    least = options[rest[0][1]]
+    return least, Predicted(np.inf, 0.0 if least.model == "cars" else np.inf), tried, dear
 
 
 def _nearest(known: list) -> tuple | None:

@@ -180,8 +180,9 @@ class ByRuns:
     @property
     def words(self) -> str:
         part = "" if self.piece is self.scene else f" of {self.piece.fleet.count} of the {self.scene.fleet.count} cars"
-        number = len(self._levels[0])
-        return f"{number} coarse runs of cars{part}: no theory holds for all of the scene"
+        if "_levels" not in self.__dict__:
+            return "no run: coarse ones of cars would have told"
+        return f"{len(self._levels[0])} coarse runs of cars{part}: no theory holds for all of the scene"
 
     def _of_piece(self, nodes: int) -> int:
         return round(nodes * self.piece.road.length / self.scene.road.length)
