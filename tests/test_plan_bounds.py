@@ -30,9 +30,11 @@ STEPS = scene(64, diffusivity=0.0)  # passages leave steps, and nothing smooths 
 @pytest.mark.parametrize(
     "name, rows", [("linear", 8), ("linear", 64), ("linear", 200), ("cars", 16), ("cars", 200), ("cars", 512)]
 )
-def test_a_run_knows_its_error_where_steps_stay(name, rows):
-    ds = tr.simulate(STEPS, name, samples=2, nodes=rows * 8)
-    error = corrugation_difference(road(STEPS, 8192), ds.road_height.values[-1])
+@pytest.mark.parametrize("diffusivity", [0.0, 1e-8])
+def test_a_run_knows_its_error_where_steps_stay(name, rows, diffusivity):
+    case = scene(64, diffusivity=diffusivity)  # too little to smooth the waves of such grids
+    ds = tr.simulate(case, name, samples=2, nodes=rows * 8)
+    error = corrugation_difference(road(case, 8192), ds.road_height.values[-1])
     assert error <= ds.error_estimate <= 6 * error
 
 
@@ -100,7 +102,7 @@ def test_many_kinds_of_car_are_planned_for_at_once(monkeypatch):
     monkeypatch.setattr(planning, "takes_off", lambda scene: pytest.fail("looks for minutes"))
     planned = tr.plan(case, 1e-2)
     assert planned.model == "cars" and np.isfinite(planned.error)
-    assert "longer than 1 s and 10 times the run: when cars take off" in planned.reason
+    assert "longer than 1 s and 5 times the run: when cars take off" in planned.reason
     assert "no car takes off" not in planned.reason
 
 

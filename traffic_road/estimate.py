@@ -54,8 +54,8 @@ def error_estimate(scene, name: str, numerics: dict, last: Sample, pair_ratio=No
         else:
             ratio, times = (pair_ratio or module.PAIR_RATIO, "half") if coarse else (0.5, "twice")
             if quick:  # a pair differs by 1 - 2^-p of the error: p is 2, but for the steps that stay without diffusion
-                ratio = 0.6 if scene.road.diffusivity.value > 0 else 0.3
-            elif coarse and scene.road.diffusivity == Constant(0.0) and not pair_ratio:
+                ratio = 0.3 if steps_stay(scene, numerics["nodes"]) else 0.6
+            elif coarse and not pair_ratio and steps_stay(scene, numerics["nodes"]):
                 ratio = STEPS_STAY.get(name, ratio)
             *_, second = module.samples(scene, np.array([0.0, last.time]), other)
             error = _distance(last.road_height, second.road_height) / ratio
@@ -68,6 +68,12 @@ def error_estimate(scene, name: str, numerics: dict, last: Sample, pair_ratio=No
     if size <= rounding:
         return 0.0, "none: the road is flat to rounding"
     return float((error + rounding) / size), method
+
+
+def steps_stay(scene, nodes: int) -> bool:
+    """Whether diffusion is too little to smooth the shortest wave of a grid, to a part in e, in all of the duration."""
+    law = scene.road.diffusivity
+    return isinstance(law, Constant) and law.value * scene.duration * (np.pi * nodes / scene.road.length) ** 2 < 1
 
 
 def _is_linear(scene, numerics, last):

@@ -18,7 +18,7 @@ import numpy as np
 
 from . import costs
 from .errors import SceneError, StabilityError
-from .estimate import corrugation_difference
+from .estimate import corrugation_difference, steps_stay
 from .models import cars, continuum, linear
 from .outlook import piece, whole_headways
 
@@ -87,7 +87,7 @@ class ByTheory:
         self.mean_field = np.zeros(max(2, int(field.waves[-1]) + 1), dtype=complex)
         self.mean_field[field.waves] = y[:, 0]
         self.classes = np.unique(np.append(np.minimum(self.strongest % self.count, -self.strongest % self.count), 0))
-        self.sharp = scene.road.diffusivity.value == 0
+        self.sharp = steps_stay(scene, FINEST * self.count)
         self._roads: dict = {}
 
     def cost(self, grids, intervals) -> float:
