@@ -35,9 +35,7 @@ CALL_LAW, RELAX_LAW = 0.3e-3, 85e-9  # a relaxation where diffusivity varies; a 
 
 LOOK = 3e-9  # when cars take off: a wave, by the exponential or the eigenvalues of a matrix; its size cubed
 FREE = 1.0  # seconds that planning may take of any scene
-TIMES = (
-    5.0  # the run that is planned, which planning may take besides: its two coarsest runs seldom take more of the first
-)
+TIMES = 5.0  # the run that is planned, besides: its two coarsest runs seldom take more of the first
 
 
 class TooDear(TrafficRoadError):
