@@ -506,6 +506,7 @@ def test_little_smoothing_of_a_long_road_is_the_transform(count, rows, spread):
         (515, 6, 3, 0.0, 1, tr.Exponential(0.02, 0.5)),  # beyond the range of the polynomials here and there
         (515, 6, 3, 0.0, 1, tr.Exponential(0.06, 0.1)),  # and with too strong forces
         (600, 32, 1, 0.01, 4, 0.02),  # by way of every other node
+        (650, 12, 1, 0.0, 1, 0.02),  # two vectors of cars side by side, but for tile 0
         (777, 5, 3, 0.2, 1, tr.Bounded(0.02, 0.9)),
         (4097, 8, 3, 0.05, 4, 0.02),  # two panels
     ],

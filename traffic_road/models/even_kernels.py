@@ -23,10 +23,11 @@ from numba import prange, uint64
 from ..compiled import njit
 from ..laws import CONSTANT, EXPONENTIAL
 from ..schemes.passage import contact_height
-from .even_layout import COMPILE, aligned, copy, hand_over, row_of
+from .even_layout import COMPILE, WIDTH, aligned, copy, hand_over, row_of
 from .even_passages import DEEPEST, met, met_bounded, met_exponential
 from .stack import align_stack
 
+PAIRED = 4  # nodes that `_in_pairs` crosses at a time
 FIELDS = 3  # of a car, before its contact heights: signs, f, f_-1
 
 
@@ -88,12 +89,38 @@ def _carefully(road, at, rows, width, lanes, state, car, hold, c, law, least):
             state[k + (FIELDS + q) * width] = heights[q + 1]
 
 
+@njit(**COMPILE)
+def _in_pairs(road, at, rows, state, car, c, s, slack):
+    """A block crossed by the cars of a full panel, two vectors of them side by side: linear hold, constant softness.
+
+    Each node waits for the one before, and a processor looks ahead less far than over two vectors one after the other.
+    """
+    c0, T, D, e0, e1 = c[0], c[1], c[2], c[3], c[4]
+    W1, W2, W3, half = uint64(WIDTH), uint64(2 * WIDTH), uint64(3 * WIDTH), uint64(WIDTH // 2)
+    for r in range(0, rows, PAIRED):
+        left, k = uint64(at + r * WIDTH), uint64(car)
+        right, m = left + half, k + half
+        for i in range(half):
+            a, f, f1, h0 = state[k + i], state[k + W1 + i], state[k + W2 + i], state[k + W3 + i]
+            b, g, g1, j0 = state[m + i], state[m + W1 + i], state[m + W2 + i], state[m + W3 + i]
+            for node in range(PAIRED):
+                x, y = left + uint64(node) * W1 + i, right + uint64(node) * W1 + i
+                h, road[x], of_left = met(road[x], f, s, slack)
+                j, road[y], of_right = met(road[y], g, s, slack)
+                a, b = a + of_left, b + of_right
+                f, f1, h0 = e0 * h + (T * f + (D * f1 + (e1 * h0 + c0))), f, h
+                g, g1, j0 = e0 * j + (T * g + (D * g1 + (e1 * j0 + c0))), g, j
+            state[k + i], state[k + W1 + i], state[k + W2 + i], state[k + W3 + i] = a, f, f1, h0
+            state[m + i], state[m + W1 + i], state[m + W2 + i], state[m + W3 + i] = b, g, g1, j0
+
+
 def _make_sweep(width, hold, kind, unroll, parallel, short):
     """The sweep for one width, one hold and one kind of law; `unroll` divides the rows. All are constants of the loop.
 
     Only numbers are closed over: with a compiled function among them the cache on disk would never be found again.
     """
     W1, W2, W3, W4, W5, W6, W7 = (np.uint64(n * width) for n in range(1, 8))
+    paired = kind == CONSTANT and hold == 1 and width == WIDTH and unroll == PAIRED
     size = np.uint64((FIELDS + hold) * width)
 
     @njit(parallel=parallel, **COMPILE)
@@ -140,6 +167,9 @@ def _make_sweep(width, hold, kind, unroll, parallel, short):
                             beyond = _beyond(road, start, rows, width, lanes, level, reach)
                         for headway in range(low, high):
                             car = uint64(panel * tiles + (tile - headway - done) % tiles) * size
+                            if paired and lanes == width:
+                                _in_pairs(road, row_of(panel, tile * rows, layout), rows, state, int(car), c, s, slack)
+                                continue
                             for r in range(0, rows, unroll):
                                 at = uint64(row_of(panel, tile * rows + r, layout))
                                 poor = 0
