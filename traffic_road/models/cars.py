@@ -25,7 +25,7 @@ from ..schemes import oscillator
 from . import Breath, Sample
 from .cars_even import even_samples
 from .cars_mixed import mixed_samples
-from .cars_state import even_start, kinds
+from .cars_state import even_start, evenly_spaced, kinds
 
 MOST_NODES = 10**9  # 8 GB for the road alone
 VALUES_PER_NODE = 16  # held at once at most, measured: road, transforms, the second run of the estimate
@@ -146,8 +146,12 @@ def samples(scene, times, numerics: dict, state: dict | None = None) -> Iterator
 
 
 def sample_times(scene, times, numerics: dict) -> np.ndarray:
-    """The times at which samples will be taken: for an even fleet whole relaxation intervals, without repeats."""
-    if even_start(scene, numerics["nodes"]) is None:
+    """The times at which samples will be taken: of evenly spaced cars whole relaxation intervals, without repeats.
+
+    Then all wheels are on nodes. At any other time all are as far beyond one, a part of dx that is another on every grid,
+    and errors do not fall with dx as two grids would tell.
+    """
+    if evenly_spaced(scene, numerics["nodes"]) is None:
         return np.asarray(times, dtype=float)
     interval = scene.headway_time * numerics["relax_every"]
     whole = np.rint(np.asarray(times) / interval)

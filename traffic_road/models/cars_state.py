@@ -21,11 +21,11 @@ def kinds(fleet) -> tuple[np.ndarray, np.ndarray]:
     return distinct, kind_of
 
 
-def even_start(scene, nodes: int) -> tuple[np.ndarray, int] | None:
-    """For an even fleet: the cars in order of position, and the node of the first; None for any other fleet."""
+def evenly_spaced(scene, nodes: int) -> tuple[np.ndarray, int] | None:
+    """For cars of one speed, evenly spaced over whole nodes: their order by position, and the node of the first; else None."""
     fleet, length = scene.fleet, scene.road.length
     distinct, _ = kinds(fleet)
-    if len(distinct) > 1 or nodes % fleet.count:
+    if np.ptp(distinct[:, 0]) > 0 or nodes % fleet.count:
         return None
     position = fleet.positions(length)
     order = np.argsort(position, kind="stable")
@@ -33,6 +33,11 @@ def even_start(scene, nodes: int) -> tuple[np.ndarray, int] | None:
     if np.ptp(spacing) > 1e-9 * scene.headway:
         return None
     return order, int(node_behind(position[order[:1]], length / nodes)[0])
+
+
+def even_start(scene, nodes: int) -> tuple[np.ndarray, int] | None:
+    """The same for an even fleet, of identical cars; None for any other."""
+    return evenly_spaced(scene, nodes) if len(kinds(scene.fleet)[0]) == 1 else None
 
 
 def node_behind(position, dx):
