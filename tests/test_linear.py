@@ -128,6 +128,23 @@ def test_lift_off_is_told_by_name_and_time():
     tr.simulate(replace(case, duration=0.8 * expected), "linear", samples=2)
 
 
+@pytest.mark.parametrize(("headway", "amplitude"), [(6.5, 0.0), (14.5, 0.0), (7.5, 1e-3), (6.0, 0.0), (9.0, 0.0)])
+def test_lift_off_by_the_ripple_of_few_cars_is_told(headway, amplitude):
+    # 2 pi/headway, or twice that, is a wave that grows, or is not; the mean field knows nothing of it
+    profile = tr.Sine(amplitude, 2 * np.pi / (8 * headway))
+    case = tr.Scene(tr.Road(8 * headway, 0.006, 0.01, profile), tr.Fleet(8, 0.1), 280 * headway)
+    ds = tr.simulate(case, "cars", samples=141, nodes=8 * 64, hold=5)
+    found = takes_off(case, case.duration)
+    if ds.airborne_passages == 0:
+        assert found is None and tr.simulate(case, "linear", samples=2).contact_force.min() > 0
+        return
+    grown = np.flatnonzero(ds.contact_force.min("car") == 0)  # sampled where a headway ends: not the first passage
+    assert 0.5 * ds.time[grown[0]] < found <= ds.time[grown[0]]
+    with pytest.raises(tr.StabilityError, match="cars take off at about time"):
+        tr.simulate(case, "linear", samples=2)
+    assert tr.plan(case, 1e-2).model == "cars"
+
+
 @pytest.mark.parametrize(
     ("case", "given", "words"),
     [

@@ -124,3 +124,29 @@ def test_an_error_that_planning_may_not_look_for_is_not_told(monkeypatch):
     assert planned.model == "continuum" and planned.error == np.inf
     assert "no error could be predicted: name the model" in planned.reason
     assert tr.simulate(DEAR["bouncing"], tolerance=1e-2, samples=2, step=4.0).error_estimate == np.inf
+
+
+@pytest.mark.parametrize("softness", [0.006, tr.Exponential(0.02, 0.1)], ids=["bouncing", "hardening"])
+def test_a_plan_by_runs_is_made_for_the_hold_that_is_given(softness):
+    case = scene(240, softness=softness, profile=tr.Sine(1.5 if softness == 0.006 else 0.1, K), damping=0.1)
+    truth = 2 * road(case, 256)[::2] - road(case, 128)
+    ds = tr.simulate(case, tolerance=1e-3, samples=2, hold=1)
+    assert corrugation_difference(truth, ds.road_height.values[-1]) <= ds.error_estimate <= 1e-3
+
+
+def test_a_run_is_not_surer_than_its_plan():
+    # one car a wavelength: half the nodes and twice the relaxation interval happen to err as much
+    case = scene(290, count=1, softness=tr.Exponential(0.006, 0.02), damping=0.1)
+    planned, ds = tr.plan(case, 0.05), tr.simulate(case, tolerance=0.05, samples=2)
+    error = corrugation_difference(road(case, 2048), ds.road_height.values[-1])
+    assert error <= ds.error_estimate == planned.error <= 3 * error
+    assert "the plan's runs" in ds.error_method
+
+
+def test_a_road_that_runs_away_is_not_planned_for_at_length(monkeypatch):
+    case = scene(20_000, softness=0.05, profile=tr.Sine(1.5, K), damping=0.1)
+    purses, make = [], costs.Purse.__init__
+    monkeypatch.setattr(costs.Purse, "__init__", lambda self, *given: (purses.append(self), make(self, *given))[1])
+    planned = tr.plan(case)
+    assert planned.error == np.inf and "the road runs away" in planned.reason
+    assert purses[0].spent <= costs.FREE + costs.TIMES * planned.cost

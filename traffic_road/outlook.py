@@ -16,6 +16,7 @@ from .theory.settling import settle
 
 STRONGEST = 12  # waves of the profile whose growth is followed
 LOOKS = 25  # times at which the settling road is asked for its growth rates
+OF_HEADWAY = 5000  # matrices that one of a whole headway, and its powers, count for
 PEAK = 3.0  # of a noisy road, in root mean squares
 PIECE_CARS, PIECE_WAVES = 48, 8  # a piece of a long noisy road that stands for all of it has at least so many
 
@@ -29,7 +30,9 @@ def matrices(scene) -> int:
     waves = scene.road.profile.highest_wave(scene.road.length)
     if not scene.lift_off:
         return 0
-    return waves + 1 if constant_laws(scene) else LOOKS * min(STRONGEST, waves)
+    if constant_laws(scene):
+        return (waves + 1) * (OF_HEADWAY if linear.sparse(scene) else 1)
+    return LOOKS * min(STRONGEST, waves)
 
 
 def takes_off(scene) -> float | None:

@@ -100,7 +100,7 @@ def plan(scene, tolerance: float = 1e-3, **numerics) -> Plan:
     if theory:
         predicted, options = theory, _by_theory(scene, models, numerics, theory)
     else:
-        predicted = ByRuns(scene, tolerance, purse=purse)
+        predicted = ByRuns(scene, tolerance, numerics.get("hold", HOLD), purse)
         options = _by_runs(scene, models, numerics, predicted, pressed)
     chosen, error, tried, dear = _cheapest(scene, options, tolerance, purse)
     left_out += dear
@@ -134,7 +134,8 @@ def _cheapest(scene, options: list[Option], tolerance: float, purse: costs.Purse
     """The first, by cost, whose error is small enough, or the one of least error; its error; the others' by model.
 
     And the models some of whose runs were left out: to know their errors would have cost more than `purse` allows, which is
-    measured by what would be chosen so far. That only ever becomes dearer, so the bound holds for what is chosen.
+    measured by what would be chosen so far; where all errors so far are infinite, by the first that was asked for, or dearer
+    and dearer runs would be tried on a road that runs away.
     """
     tried: dict = {}
     known: list = []
@@ -147,7 +148,8 @@ def _cheapest(scene, options: list[Option], tolerance: float, purse: costs.Purse
             continue  # the error that is the model's own stays however fine
         try:
             model(option.model).numerics(scene, option.numerics)
-            purse.allowed = costs.FREE + costs.TIMES * (_nearest(known) or (option,))[0].cost
+            measure, _ = _nearest(known) or (known[0] if known else (option, None))
+            purse.allowed = costs.FREE + costs.TIMES * measure.cost
             error = option.error()
         except costs.TooDear:
             if option.model not in dear:
@@ -262,10 +264,10 @@ def _reason(scene, predicted, chosen, error, tolerance, lost, tried, looked, lef
             f"left out, since it would make planning longer than {costs.FREE:g} s and {costs.TIMES:g} times the run: "
             f"{', '.join(left_out)} (to have a model all the same, name it and its nodes)"
         )
-    if not np.isfinite(error[0]) and left_out:
-        lines.append("no error could be predicted: name the model and its nodes, and see what its run estimates")
-    elif not np.isfinite(error[0]):
-        lines.append("nothing can be predicted: the road runs away")
+    if not np.isfinite(error[0]):
+        away = isinstance(predicted, ByRuns) and predicted.runs_away
+        unknown = "no error could be predicted: name the model and its nodes, and see what its run estimates"
+        lines.append("nothing can be predicted: the road runs away" if away or not left_out else unknown)
     elif error[0] > SAFE * tolerance:
         lines.append(f"nothing that was tried is surely within {tolerance:g}: this is the nearest")
     return "; ".join(lines)

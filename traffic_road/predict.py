@@ -19,6 +19,7 @@ import numpy as np
 from . import costs
 from .errors import SceneError, StabilityError
 from .estimate import corrugation_difference, steps_stay
+from .health import RUNAWAY
 from .models import cars, continuum, linear
 from .outlook import piece, whole_headways
 
@@ -183,6 +184,11 @@ class ByRuns:
         if "_levels" not in self.__dict__:
             return "no run: coarse ones of cars would have told"
         return f"{len(self._levels[0])} coarse runs of cars{part}: no theory holds for all of the scene"
+
+    @property
+    def runs_away(self) -> bool:
+        """Whether one of the runs of cars has come to where `simulate` ends it."""
+        return not all(np.ptp(road) < RUNAWAY for road in self._runs.values())
 
     def _of_piece(self, nodes: int) -> int:
         return round(nodes * self.piece.road.length / self.scene.road.length)

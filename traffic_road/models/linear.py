@@ -34,6 +34,7 @@ ROWS = 8  # nodes a headway, in the default grid
 LOOKS = 64  # times at which a road is asked whether its cars take off
 MOST_ROWS = 256  # nodes a headway beyond which a matrix costs more than a run of cars
 NOTHING = 1e-14  # of the largest wave: rounding
+DENSE = 2.5  # wavenumber, times u/omega, from which on no wave grows but on a road far softer than those that saturate
 
 
 def numerics(scene, given: dict) -> dict:
@@ -151,6 +152,7 @@ class Blocks:
             self.waves = np.intersect1d(self.waves, classes)
         self.y = np.concatenate((wave[self.waves], np.zeros((self.waves.size, 1))), axis=1)
         self.y[0, -1] = 1.0
+        self.softness = road.softness.value * scene.headway / car[0]  # of a passage
         self.matrix = self._interval(scene, car, hold, relax_every)
         self.headway_time, self.powers = scene.headway_time, {}
 
@@ -162,6 +164,7 @@ class Blocks:
         )
         sweep[:, rows:size] *= np.exp(-2j * np.pi * waves / self.count)[:, None, None]  # the next car comes from behind
         sweep[0, size, size] = 1.0
+        self.sweep, self.half = sweep[:, :rows].copy(), None
         if relax_every > 1:
             sweep = np.linalg.matrix_power(sweep, relax_every)
         diffusion = scene.road.diffusivity.value * relax_every * scene.headway_time / 2
@@ -176,6 +179,7 @@ class Blocks:
             )
             sweep[:, :, :rows] = sweep[:, :, :rows] @ half
             sweep[:, :rows] = half @ sweep[:, :rows]
+            self.half = half
         return sweep
 
     def after(self, y, intervals: int) -> np.ndarray:
@@ -187,6 +191,15 @@ class Blocks:
     def advance(self, y, now: float, time: float):
         """y at `time`, a whole number of headways after `now`, and that time."""
         return self.after(y, round((time - now) / self.headway_time)), time
+
+    def forces(self, y) -> np.ndarray:
+        """Those of all passages of the headway to come, in loads of a car, (cars, rows): by what the road sinks."""
+        before = y.copy()
+        if self.half is not None:
+            before[:, : self.rows] = (self.half @ y[:, : self.rows, None])[..., 0]
+        sunk = np.zeros((self.count // 2 + 1, self.rows), dtype=complex)
+        sunk[self.waves] = before[:, : self.rows] - (self.sweep @ before[..., None])[..., 0]
+        return np.fft.irfft(sunk, n=self.count, axis=0, norm="forward") / (self.softness * self.mass)
 
     def fields(self, y, nodes: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Road height, car height and contact force, each (nodes,)."""
@@ -277,14 +290,25 @@ class MeanField:
         return height, self.share @ Z, self.share @ force
 
 
+def sparse(scene) -> bool:
+    """Whether what the cars' steps make of the road's waves, a headway's wave away, may be long enough to grow itself."""
+    road, fleet = scene.road, scene.fleet
+    if not is_even(scene) or road.softness.value == 0:
+        return False
+    aliased = 2 * np.pi * (1 / scene.headway - road.profile.highest_wave(road.length) / road.length)
+    return aliased * fleet.per_car("speed")[0] / fleet.per_car("frequency")[0] < DENSE
+
+
 @lru_cache(maxsize=8)
 def takes_off(scene, duration: float) -> float | None:
-    """The time at which the mean field's first car loses contact, or about to; None if none does within `duration`.
+    """The time at which the first car loses contact, or about to; None if none does within `duration`.
 
-    Looked for at 64 times on a grid of 4 points or more for the shortest wave.
+    Looked for at 64 times: in the mean field, on a grid of 4 points or more for the shortest wave; where cars are few for the
+    waves that grow, so that the ripple does, in the passages of the scheme itself.
     """
     if not scene.lift_off:
         return None
+    lost = _rippled_off(scene, duration) if sparse(scene) else None
     field = MeanField(scene)
     nodes = max(32, 4 * int(field.waves[-1]) + 4)
     speed = scene.fleet.per_car("speed").min()
@@ -294,6 +318,31 @@ def takes_off(scene, duration: float) -> float | None:
     for look in range(LOOKS + 1):
         *_, force = field.by_kind(y, nodes)
         if not np.all(force.min(axis=1) / field.mass > step):
-            return look * duration / LOOKS
+            time = look * duration / LOOKS
+            return time if lost is None else min(time, lost)
         y = field.after(y, duration / LOOKS)
-    return None
+    return lost
+
+
+def _rippled_off(scene, duration: float) -> float | None:
+    """The same by the passages of an even fleet."""
+    waves, count = scene.road.profile.highest_wave(scene.road.length), scene.fleet.count
+    rows = max(ROWS, -(-(2 * waves + 1) // count))
+    while True:
+        try:
+            cars.numerics(scene, {"nodes": rows * count, "hold": HOLD})
+            break
+        except StabilityError:
+            rows *= 2
+            if rows > MOST_ROWS:
+                return None  # nor does the model run
+    blocks, done = Blocks(scene, rows), 0
+    headways = max(1, round(duration / scene.headway_time))
+    y, some = blocks.y, max(1, headways // LOOKS)
+    with np.errstate(all="ignore"):
+        while np.min(blocks.forces(y)) > 0:
+            if done == headways:
+                return None
+            step = min(some, headways - done)
+            y, done = blocks.after(y, step), done + step
+    return done * scene.headway_time
