@@ -11,6 +11,7 @@ from traffic_road import models
 from traffic_road.health import ALARM, RUNAWAY, Watch, foreseen, lift_off_height, unheld_growth
 from traffic_road.models import continuum
 from traffic_road.schemes.oscillator import propagator
+from traffic_road.schemes.passage import midpoint
 from traffic_road.schemes.ring import Ring
 from traffic_road.theory import dispersion, neutral_softness, saturation_limit
 from traffic_road.theory.stability import unstable
@@ -27,7 +28,7 @@ def limit():
     return float(saturation_limit(K, diffusivity=0.01, damping=DAMPING))
 
 
-# ---- beyond the saturation limit: foretold, run, and explained
+# ---- beyond the saturation limit: foretold, caught, explained, and followed where that is asked for
 
 
 def test_growth_beyond_the_saturation_limit_is_foretold():
@@ -79,10 +80,20 @@ def test_other_cars_in_their_own_units():
         assert (foreseen(other) is not None) == (share > 1)
 
 
-def test_a_run_beyond_the_limit_goes_on_and_is_explained():
+@pytest.mark.parametrize("model", ["cars", "continuum"])
+def test_growth_beyond_the_limit_is_caught_kept_up_to_there_and_explained(model):
+    with pytest.warns(UserWarning, match="beyond the saturation limit"):
+        ds = tr.simulate(scene(0.05), model, samples=1601, tolerance=1.0, nodes=64)
+    assert "beyond the saturation limit" in ds.status and "numerical" not in ds.status
+    size, most = np.ptp(ds.road_height.values, axis=1), ALARM * (1 + 3.0)
+    assert 0.8 * most < size[-1] < most and ds.error_estimate == np.inf
+    assert ds.time.values[-1] < 0.5 * 16000
+
+
+def test_a_run_beyond_the_limit_goes_on_for_study():
     # twice the limit: from 3e3 to 1e12 it is the model's own growth, and its rate a matter of physics
     with pytest.warns(UserWarning, match="beyond the saturation limit"):
-        ds = tr.simulate(scene(0.05), "continuum", samples=401, tolerance=1.0)
+        ds = tr.simulate(scene(0.05), "continuum", samples=401, tolerance=1.0, allow_unstable=True)
     assert "beyond the saturation limit" in ds.status and "numerical" not in ds.status
     size = np.ptp(ds.road_height.values, axis=1)
     assert 0.01 * RUNAWAY < size[-1] < RUNAWAY
@@ -115,7 +126,7 @@ def test_a_step_that_blows_up_is_numerical_and_caught_early(monkeypatch):
 def test_a_number_lost_is_told():
     road = np.linspace(-1, 1, 64)
     for bad in (np.nan, np.inf):
-        watch = Watch(scene())
+        watch = Watch(scene(), "continuum")
         assert watch.trouble(road) is None
         lost = road.copy()
         lost[7] = bad
@@ -123,27 +134,43 @@ def test_a_number_lost_is_told():
 
 
 def test_a_road_that_saturates_is_left_alone():
-    watch = Watch(scene(0.9 * limit()))
+    watch = Watch(scene(0.9 * limit()), "continuum")
     most = ALARM * (1 + 3.0)  # the static deflection, and the profile from trough to crest
     assert all(watch.trouble(size * np.array([-0.5, 0.5])) is None for size in (1e-3, 1.0, 0.99 * most))
     assert "within the saturation limit" in watch.trouble(1.01 * most * np.array([-0.5, 0.5]))
-    assert unheld_growth(scene(0.98 * limit()), 0.0).possible  # so near that its finite amplitude may be anything
+    assert unheld_growth(
+        scene(0.98 * limit()), 0.0, "cars"
+    ).possible  # so near that its finite amplitude may be anything
 
 
 def test_long_waves_may_be_high_before_cars_leave_them():
     # k = 0.2: cars lift off at an amplitude of 24, and ALARM counts from there
     softness = 1.2 * neutral_softness(0.2, diffusivity=0.01, damping=0.5)
     road = tr.Road(2 * np.pi / 0.2, softness, 0.01, tr.Sine(1e-3, 0.2))
-    watch = Watch(tr.Scene(road, tr.Fleet(40, 0.5), 100.0))
+    watch = Watch(tr.Scene(road, tr.Fleet(40, 0.5), 100.0), "cars")
     assert watch.trouble(np.array([0.0, 20 * ALARM])) is None
     assert "within the saturation limit" in watch.trouble(np.array([0.0, 100 * ALARM]))
 
 
 def test_growth_of_a_mixed_fleet_is_not_guessed():
     mixed = scene(0.02, count=2, damping=(0.1, 0.3))
-    assert unheld_growth(mixed, 0.0).unknown
+    assert unheld_growth(mixed, 0.0, "cars").unknown
     stable = scene(1e-4, count=2, damping=(0.1, 0.3))
-    assert not unheld_growth(stable, 0.0).possible
+    assert not unheld_growth(stable, 0.0, "cars").possible
+
+
+@pytest.mark.parametrize("share", [0.99, 1.01])
+def test_passages_that_invert_bumps_are_told_from_the_grid(share):
+    fleet = {
+        "frequency": (3.0,) * 7 + (4.0,),
+        "mass": (1.0,) * 7 + (0.5,),
+        "speed": (2.0,) * 7 + (1.0,),
+    }  # 9/2 and 16/2
+    stiff = scene(share * 2 / (2 * np.pi / K / 8 * 8.0), **fleet)
+    _, after = midpoint(1.0, 0.0, 0.0, 0.5 * stiff.road.softness.value * stiff.headway, 16.0, weight=0.0)
+    assert (after < 0) == (share > 1)
+    assert ("bumps invert at each passage" in unheld_growth(stiff, 0.0, "cars").reason) == (share > 1)
+    assert "bumps invert" not in unheld_growth(stiff, 0.0, "continuum").reason
 
 
 # ---- outside a stability limit

@@ -9,6 +9,7 @@ import tempfile
 import threading
 import time
 from dataclasses import replace
+from importlib.metadata import version
 from pathlib import Path
 
 import numpy as np
@@ -301,7 +302,7 @@ def test_a_foreign_file_a_folder_and_none(stopped):
 def test_another_version_and_another_scene(stopped, monkeypatch):
     refused(lambda: tr.resume("c", scene=scene(softness=0.007)), "c: a checkpoint of another scene")
     monkeypatch.setattr(checkpoint, "VERSION", "9.9")
-    refused(lambda: tr.resume("c"), "a checkpoint of version '0.1.0', this is 9.9")
+    refused(lambda: tr.resume("c"), f"a checkpoint of version '{version('traffic_road')}', this is 9.9")
     assert unchanged(stopped)
 
 

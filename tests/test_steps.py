@@ -44,6 +44,28 @@ def test_high_waves_decay_inside_the_limit_and_grow_beyond(damping, softness, di
     assert not size(factor * longest) < 1e6
 
 
+@pytest.mark.parametrize(
+    ("damping", "softness", "diffusivity"),
+    [(0.3, 0.05, 0.01), (0.1, 0.02, 0.01), (0.1, 0.006, 0.001), (0.05, 0.003, 0.005)],
+)
+def test_growth_beyond_saturation_is_that_of_the_equations_inside_the_limit_and_twice_it_beyond(
+    damping, softness, diffusivity
+):
+    case = scene(damping, softness, diffusivity)
+    longest = limit(case)
+
+    def rate(step):
+        road, steps = Continuum(case, NODES), int(1000 / step)
+        road.renew(step)
+        size = []
+        for _ in range(2):
+            road.advance(step, steps)
+            size.append(abs(road.state[0, 1]))
+        return np.log(size[1] / size[0]) / (steps * step)
+
+    assert rate(0.8 * longest) < 2 * rate(1.0) < rate(1.1 * longest)
+
+
 def test_the_limit_is_where_the_matrix_of_a_step_grows():
     case = scene(*SCENES[0][:3])
     system, source = continuum.start(case, NODES).linear
@@ -69,6 +91,13 @@ def test_the_matrix_of_a_step_is_the_equation_to_order_4():
         true = exact(wanted, source, step)[:, :3].transpose(2, 0, 1)
         errors.append(np.abs(amplification(system[:3], source, row[:3], step) - true).max())
     assert np.polyfit(np.log(steps), np.log(errors), 1)[0] == pytest.approx(5.0, abs=0.15)  # of one step
+
+
+def test_a_step_that_drives_growth_beyond_saturation_is_refused():
+    case = scene(0.3, 0.05, 0.01, amplitude=1.5, duration=16000.0)  # 1.14 times the saturation limit
+    for step in (100.0, 1000.0):
+        with pytest.raises(tr.StabilityError, match=r"blows up from 98\.\d+ on"):
+            tr.simulate(case, "continuum", samples=3, nodes=NODES, step=step)
 
 
 def test_a_step_beyond_it_is_refused_and_may_be_studied():

@@ -268,6 +268,15 @@ AGAIN = {
         replace(SCENE, road=replace(SCENE.road, profile=tr.Noise(1.0, 3.0, 5), softness=tr.Exponential(0.1, 1 / 3))),
         {"model": "continuum", "samples": 4},
     ),
+    "auto": (
+        replace(SCENE, road=replace(SCENE.road, softness=tr.Exponential(0.006, 0.3))),
+        {"samples": 3, "tolerance": 1e-2},
+    ),
+    "auto, some given": (SCENE, {"samples": 3, "tolerance": 1e-2, "hold": 3}),
+    "diverged, for study": (
+        replace(SCENE, road=replace(SCENE.road, softness=0.05), duration=3000.0),
+        {"model": "continuum", "samples": 31, "nodes": 32, "allow_unstable": True},
+    ),
     "diverged": (
         replace(SCENE, road=replace(SCENE.road, softness=0.05), lift_off=False, duration=3000.0),
         {"model": "cars", "samples": 31, "nodes": 64},
@@ -283,7 +292,7 @@ def same_run(one, other):
     """Every bit the same, and every attribute but when and how fast."""
     for name, values in one.variables.items():
         assert other.variables[name].values.tobytes() == values.values.tobytes(), name
-    changing = {"history", "wall_time", "error_wall_time"}
+    changing = {"history", "wall_time", "error_wall_time", "planning_time"}
     for name in one.attrs.keys() - changing:
         np.testing.assert_array_equal(other.attrs[name], one.attrs[name], name)
     assert set(one.variables) == set(other.variables) and set(one.attrs) == set(other.attrs)
@@ -308,6 +317,9 @@ def test_running_again_with_changes(results):
     finer = tr.rerun(cars, nodes=512)
     assert finer.x.size == 512 and finer.time.size == 4 and json.loads(finer.numerics)["hold"] == 3
     assert tr.rerun(cars, samples=3).time.size == 3
+    chosen = tr.simulate(SCENE, tolerance=1e-2, samples=2)
+    assert "plan" in tr.rerun(chosen, tolerance=1e-1).attrs  # made anew, but not of what is named
+    assert "plan" not in tr.rerun(chosen, nodes=2 * chosen.x.size).attrs
     other = tr.rerun(cars, model="continuum")  # whose numerics are its own
     assert other.model == "continuum" and other.road_height.equals(results["continuum"].road_height)
     si = tr.to_si(cars, SCENE.scales)

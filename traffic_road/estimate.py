@@ -45,10 +45,10 @@ def error_estimate(scene, name: str, numerics: dict, last: Sample, pair_ratio=No
         error = left_by_rounding(scene, last.road_height, last.time)
         method = "rounding: linear throughout, one matrix exponential a wave"
     else:
-        # half the resolution costs half a run or less; where that is too little to run, twice
+        # half the resolution costs half a run or less; where that is too little to run, or to tell, twice or more
         quick = name == "linear" and numerics["nodes"] <= FINE_ROWS // 2 * scene.fleet.count
         coarse = None if quick else module.coarser(scene, numerics)
-        other = coarse or module.finer(scene, numerics, {})
+        other = coarse or module.numerics(scene, module.finer(scene, numerics, {}))
         if other == numerics:
             error, method = 0.0, "none: the linear mean field is exact on any grid"
         else:

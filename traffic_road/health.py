@@ -1,8 +1,8 @@
 """Is a run still sound, and if it is not, why: growth that nothing in the model holds, or the numerics.
 
 Saturated waves cease at an upper softness (`theory.saturation_limit`). Beyond it the corrugation of a bouncing fleet grows
-without end: that is the model's own answer, is kept, and is foretold. Where theory says that it cannot be so large, the
-numerics have failed: the run is stopped there.
+without end: that is the model's own answer, is foretold, kept up to where no wave can be saturated, and followed further
+where that was asked for. Where theory says that it cannot be so large, the numerics have failed: the run is stopped there.
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ RUNAWAY = 1e12  # corrugation (g/omega_0^2) beyond which the road has blown up a
 ALARM = 1e3  # times the start and the static deflection: no saturated wave is that high, but close to its limit
 CLOSE = 0.95  # of the saturation limit: the amplitude, as 1/(limit - softness), is still finite but large
 MOST_WAVES = 1000  # of the ring that are asked for their growth
+INVERTS = 2.0  # softness of a passage, in units of a car's compliance, beyond which it turns bumps into dips
 SHORTEST = 1.5  # k u/omega: shorter waves than that do not grow
 
 
@@ -29,12 +30,13 @@ class Watch:
     """Looks at the road of one run: `trouble` says in words why it must stop, or nothing while it is sound.
 
     A look costs the highest and the lowest node. Theory is asked once, when the corrugation is ALARM times what it began
-    with; where theory knows of growth that nothing holds, the run goes on to RUNAWAY.
+    with; where theory does not rule out that it is held further up, or lift_off=False, the run goes on to RUNAWAY.
     """
 
-    def __init__(self, scene, outside: str | None = None):
-        """outside: the stability limit that the run was started beyond, if any, for study: only RUNAWAY ends it."""
-        self.scene, self.outside = scene, outside
+    def __init__(self, scene, model: str, outside: str | None = None, further: bool = False):
+        """outside: the stability limit that the run was started beyond, if any, for study: only RUNAWAY ends it, as it does
+        growth beyond the saturation limit where the run is to go `further`."""
+        self.scene, self.model, self.outside, self.further = scene, model, outside, further
         frequency = scene.fleet.frequency
         slowest = min(frequency) if isinstance(frequency, tuple) else frequency
         self.start = 1 / slowest**2  # and the profile, from the first look that needs it
@@ -55,8 +57,9 @@ class Watch:
                 return None
         if self.growth is None:
             height = float(np.mean(road_height))
-            self.growth = unheld_growth(self.scene, height if np.isfinite(height) else 0.0)
-            most = RUNAWAY if self.growth.possible else ALARM * max(self.start, self.growth.lift_off)
+            self.growth = unheld_growth(self.scene, height if np.isfinite(height) else 0.0, self.model)
+            ends = self.growth.lift_off is not None and not (self.growth.possible and self.further)
+            most = ALARM * max(self.start, self.growth.lift_off) if ends else RUNAWAY
             self.most = min(max(self.most, most), RUNAWAY)
             if size < self.most:
                 return None
@@ -75,24 +78,36 @@ def corrugation(road_height) -> float:
 
 
 class Growth(NamedTuple):
-    """Whether the scene's corrugation may grow without end, the reason in words, and the highest amplitude at lift-off."""
+    """Whether the scene's corrugation may grow without end, the reason in words, and the highest amplitude at lift-off.
+
+    lift_off: far beyond it the corrugation is certainly not held any more; None where that is not certain at any amplitude.
+    """
 
     possible: bool
     reason: str
-    lift_off: float = 0.0
+    lift_off: float | None = 0.0
     unknown: bool = False
 
 
-def unheld_growth(scene, height: float) -> Growth:
+def unheld_growth(scene, height: float, model: str) -> Growth:
     """What theory knows of growth without end on the whole ring, with the laws as they are at the mean `height`."""
     softness, diffusivity = (float(law(height)) for law in (scene.road.softness, scene.road.diffusivity))
-    quickest = float(np.max(scene.fleet.per_car("frequency") / scene.fleet.per_car("speed")))
     longest = 2 * np.pi / scene.road.length
-    last = max(1, int(SHORTEST * quickest / longest))
+    speed, frequency, mass = map(scene.fleet.per_car, ("speed", "frequency", "mass"))
+    last = max(1, int(SHORTEST * float(np.max(frequency / speed)) / longest))
     k = longest * np.unique(np.linspace(1, last, min(last, MOST_WAVES)).astype(int))
     if not (np.isfinite([softness, diffusivity]).all() and softness > 0):
         return Growth(False, f"softness {softness:.3g} and diffusivity {diffusivity:.3g} let no wave grow")
-    hardening = float(scene.road.softness.derivative(height)) * float(np.mean(scene.fleet.per_car("mass")))
+    passage = softness * scene.headway * float(np.max(mass * frequency**2 / speed))  # of `schemes.passage.midpoint`
+    if model == "cars" and scene.lift_off and passage > INVERTS:
+        what = f"softness * headway * mass * frequency^2 / speed = {passage:.3g} > {INVERTS:g}: bumps invert at each passage"
+        return Growth(
+            True,
+            f"{what}, and no theory tells what holds them; use more cars, a lower softness or frequency",
+            None,
+            True,
+        )
+    hardening = float(scene.road.softness.derivative(height)) * float(np.mean(mass))
     sigma = fleet_dispersion(
         k, scene.fleet, softness=softness, diffusivity=diffusivity, hardening_rate=hardening if scene.lift_off else 0.0
     )
@@ -102,12 +117,14 @@ def unheld_growth(scene, height: float) -> Growth:
     fastest = int(np.argmax(sigma.real))
     if not scene.lift_off:
         return Growth(
-            True, f"the wave k = {k[fastest]:.4g} grows at {sigma.real[fastest]:.3g} and lift_off=False holds nothing"
+            True,
+            f"the wave k = {k[fastest]:.4g} grows at {sigma.real[fastest]:.3g} and lift_off=False holds nothing",
+            None,
         )
     unit = reference(scene)
     if unit is None or hardening > 0:
         what = "a softness that varies" if hardening > 0 else "a mixed fleet"
-        return Growth(True, f"no theory tells where {what} saturates; repeat it with finer numerics", unknown=True)
+        return Growth(True, f"no theory tells where {what} saturates; repeat it with finer numerics", None, True)
     kappa, alpha, delta, damping = (
         k[growing] * unit.length,
         softness * unit.softness,
@@ -118,14 +135,19 @@ def unheld_growth(scene, height: float) -> Growth:
     worst = int(np.argmin(neutral))
     limit = _limit(float(kappa[worst]), delta, damping)
     values = f"softness {softness:.4g} of a road with diffusivity {diffusivity:.3g}"
+    high = float(np.max(lift_off_height(kappa, damping))) * unit.height
     of_wave = f"the saturation limit {limit / unit.softness:.4g} of its wave k = {k[growing][worst]:.4g}"
     if alpha > limit:
-        return Growth(True, f"{values} is beyond {of_wave}: airborne cars hold no amplitude; use a lower softness")
+        return Growth(
+            True, f"{values} is beyond {of_wave}: airborne cars hold no amplitude; use a lower softness", high
+        )
     if np.isnan(limit):
-        return Growth(True, f"{values}: its saturation limit is not known; repeat it with finer numerics", unknown=True)
+        return Growth(True, f"{values}: its saturation limit is not known; repeat it with finer numerics", None, True)
     if not alpha < CLOSE * limit:
-        return Growth(True, f"{values} is close to {of_wave}, where the amplitude is infinite; use a lower softness")
-    return Growth(False, f"{values} is within {of_wave}", float(np.max(lift_off_height(kappa, damping))) * unit.height)
+        return Growth(
+            True, f"{values} is close to {of_wave}, where the amplitude is infinite; use a lower softness", None
+        )
+    return Growth(False, f"{values} is within {of_wave}", high)
 
 
 def foreseen(scene) -> str | None:

@@ -35,7 +35,7 @@ FIRST = 1.0  # seconds until the first netCDF file
 
 class Job(NamedTuple):
     """What was asked for. `given`: numerics that were; `times`: of the samples, `even`: whether their number tells them;
-    `plan`: that of model="auto", as a dict.
+    `allow_unstable`: whether it may run where it cannot be trusted; `plan`: that of model="auto", as a dict.
     """
 
     scene: Scene
@@ -44,6 +44,7 @@ class Job(NamedTuple):
     given: dict
     times: np.ndarray
     even: bool
+    allow_unstable: bool
     plan: dict | None = None
 
     def facts(self) -> dict:
@@ -60,6 +61,7 @@ class Job(NamedTuple):
             facts["given"],
             times,
             facts["even"],
+            facts["allow_unstable"],
             facts["plan"],
         )
 

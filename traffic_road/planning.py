@@ -21,7 +21,7 @@ from .scene import Scene
 ROWS = (4, 6, 8, 12, 16, 24, 32, 48, 64, 96, 128, 192, 256, 384, 512, 1024, 2048)  # nodes a headway that are tried
 HOLD = 5  # costs little more than linear and is better on the coarsest grids; on fine ones wheels' steps are what errs
 INTERVALS = (4, 2, 1)  # headways from one relaxation to the next; only divisors of the duration
-STEPS = (4.0, 2.0, 1.0, 0.5, 0.25, 0.125)  # of the continuum where it needs any
+STEPS = (8.0, 4.0, 2.0, 1.0, 0.5, 0.25)  # times the continuum's default, where it needs any
 SAFE = 0.8  # of the tolerance: predicted errors are right to about so much
 LONG = 20.0  # seconds beyond which no tolerance is worth a finer grid, unless the coarsest takes as long
 NEARLY = 2.0  # times the least error: where no resolution will do, the cheapest that is nearly as good
@@ -198,6 +198,7 @@ def _cars(scene) -> list[dict]:
 def _by_theory(scene, models, given, theory: ByTheory) -> list[Option]:
     count = scene.fleet.count
     rows = [rows for rows in ROWS if theory.least <= rows <= linear.MOST_ROWS]
+    step = STEPS[0] * continuum.default_step(scene)
     return [
         *_options(
             "linear", models, [{"nodes": n * count} for n in rows], given,
@@ -205,7 +206,7 @@ def _by_theory(scene, models, given, theory: ByTheory) -> list[Option]:
             lambda numerics: Predicted(theory.linear(numerics["nodes"] // count)),
         ),
         *_options(
-            "continuum", models, [{"nodes": max(16, 2 * theory.highest + 2), "step": STEPS[0]}], given,
+            "continuum", models, [{"nodes": max(16, 2 * theory.highest + 2), "step": step}], given,
             lambda numerics: costs.of_continuum(scene, numerics, linear_throughout(scene, numerics["nodes"], scene.duration)),
             lambda numerics: Predicted(theory.continuum, theory.continuum),
         ),
@@ -234,16 +235,16 @@ def _by_runs(scene, models, given, runs: ByRuns, pressed: bool) -> list[Option]:
     if "continuum" not in models:
         return options
     try:
-        most = continuum.numerics(scene, {})["nodes"]
-    except SceneError:  # too many kinds of car
+        usual = continuum.numerics(scene, {})
+    except (SceneError, StabilityError):  # too many kinds of car, a road too soft
         return options
-    grids = [most]
+    grids = [usual["nodes"]]
     while grids[-1] % 2 == 0 and grids[-1] // 2 >= runs.least_continuum:
         grids.append(grids[-1] // 2)
     if grids[-1] > runs.least_continuum:
         grids.append(runs.least_continuum)
     return options + _options(
-        "continuum", models, [{"nodes": nodes, "step": step} for nodes in sorted(grids) for step in STEPS], given,
+        "continuum", models, [{"nodes": n, "step": part * usual["step"]} for n in sorted(grids) for part in STEPS], given,
         lambda numerics: costs.of_continuum(scene, numerics, False),
         runs.continuum,
     )  # fmt: skip

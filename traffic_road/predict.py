@@ -29,7 +29,6 @@ ENOUGH = 0.35  # of the tolerance: a difference of two coarse runs below which a
 CAUTION = 0.7  # of a predicted difference of two runs: the less it is, the larger the error that it tells
 MOST_LEVELS, MOST_NODES = 6, 20_000  # of coarse runs of an uneven fleet
 LEAST_CONTINUUM = 16  # nodes, below which nothing is gained
-FINE_STEP = 0.5  # of the continuum, where only its model is in question
 STEPS_STAY = 0.5  # order without diffusion: a jump stays where each lap begins, and a grid leaves out its short waves
 HARDLY = 1e-13  # error below which nothing can be told from rounding
 
@@ -305,8 +304,8 @@ class ByRuns:
 
     @cached_property
     def model_error(self) -> float:
-        """Error of the continuum however fine: of one with small steps."""
-        return self.other("continuum", continuum.numerics(self.scene, {"step": FINE_STEP}))
+        """Error of the continuum however fine: of one on its usual grid."""
+        return self.other("continuum", continuum.numerics(self.scene, {}))
 
     @cached_property
     def least_continuum(self) -> int:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import sys
 import time as clock
@@ -21,7 +22,7 @@ from .keeper import Disk, Job, Memory
 from .laws import finite, whole
 from .memory import refuse_beyond_memory
 from .models import Breath, Sample, model
-from .planning import plan
+from .planning import KEYWORDS, plan
 from .scene import Scene
 from .signals import guarded
 from .store import arguments_of, refuse_unwritable
@@ -44,8 +45,8 @@ def simulate(
     from 0 to the duration, or the times themselves, which then say how long the run is. Numerics override the default:
     nodes, hold, relax_every for "cars", nodes, step for "continuum", nodes for "linear". progress: True, False, a function
     that is given the fraction done (from the start again when the resolution is refined), or None for a bar after two
-    seconds if there is a terminal. allow_unstable: run outside a stability limit, too, with a warning and without an error
-    estimate, for study.
+    seconds if there is a terminal. allow_unstable: for study; run outside a stability limit, too, with a warning and without
+    an error estimate, and follow growth beyond the saturation limit to a corrugation of 1e12.
 
     output: netCDF file to write. Samples are streamed to it, so that memory stays flat, and whoever opens it meanwhile finds
     a whole file of the run so far; `status` says so. A result of more than 64 MB is given back as that file, opened, whose
@@ -77,12 +78,12 @@ def simulate(
         chosen = asdict(plan(replace(scene, duration=float(times[-1])), tolerance, **numerics))
         model = chosen["model"]
     even = np.ndim(samples) == 0 or np.array_equal(times, _times(scene, times.size))
-    job = Job(scene, model, tolerance, numerics, times, even, chosen)
+    job = Job(scene, model, tolerance, numerics, times, even, bool(allow_unstable), chosen)
     if output is None and checkpoint is None:
-        return _run(Memory(job), progress, allow_unstable)
+        return _run(Memory(job), progress)
     disk = Disk(job, output, checkpoint, every)
     with guarded(disk):
-        return _run(disk, progress, allow_unstable)
+        return _run(disk, progress)
 
 
 def resume(checkpoint, *, scene=None, output=None, progress=None) -> xr.Dataset:
@@ -103,7 +104,7 @@ def resume(checkpoint, *, scene=None, output=None, progress=None) -> xr.Dataset:
         refuse_unwritable(output)
     disk = Disk(job, output, checkpoint, facts["every"], (facts, state or None))
     with guarded(disk):
-        return _run(disk, progress, allow_unstable=True)  # if it is outside a limit, it was allowed to be when it began
+        return _run(disk, progress)
 
 
 def _refuse_progress(progress) -> None:
@@ -130,16 +131,17 @@ def rerun(ds, **changes) -> xr.Dataset:
     """Run again what a result of `simulate` was computed from; the same bits on the same machine.
 
     Scene, model, tolerance, samples and numerics are those that `ds` carries; `changes` are arguments of `simulate` to use
-    instead, or besides. With another model its numerics are chosen anew. StoreError if `ds` does not carry them.
+    instead, or besides. What "auto" chose is planned again, unless a model or numerics are named; with another model its
+    numerics are chosen anew. StoreError if `ds` does not carry them.
     """
-    arguments = arguments_of(ds)
+    arguments = arguments_of(ds, planned=not {"model", *KEYWORDS} & set(changes))
     if changes.get("model", arguments["model"]) != arguments["model"]:
         arguments = {name: arguments[name] for name in ("scene", "tolerance", "samples")}
     return simulate(**(arguments | changes))
 
 
-def _run(keeper, progress, allow_unstable):
-    scene, name, tolerance, given, times, even, chosen = keeper.job
+def _run(keeper, progress):
+    scene, name, tolerance, given, times, even, allow_unstable, chosen = keeper.job
     module = model(name)
     outside = None
     try:
@@ -148,6 +150,8 @@ def _run(keeper, progress, allow_unstable):
         if not (allow_unstable and hasattr(module, "unstable_numerics")):
             raise
         outside, numerics = str(refusal), module.unstable_numerics(scene, given)
+    if hasattr(module, "fitted"):
+        numerics = module.fitted(times, numerics)
     numerics = keeper.numerics or numerics
     for text in filter(None, (outside and f"{outside}; allow_unstable: run all the same", foreseen(scene))):
         warnings.warn(text, stacklevel=3)
@@ -162,14 +166,15 @@ def _run(keeper, progress, allow_unstable):
             error, method, estimate_time = float("inf"), "none: outside a stability limit", 0.0
         elif status == "ok":
             begin = clock.perf_counter()
-            known = chosen["pair_ratio"] if chosen and numerics == chosen["numerics"] else None
+            as_planned = chosen and attempt == 0
+            known = chosen["pair_ratio"] if as_planned else None
             if known == np.inf:
                 error = chosen["error"]
                 finest = "on this grid and on finer ones" if name == "cars" else "of this model and of cars"
                 method = f"the plan's runs {finest}"
             else:
                 error, method = _error_of(scene, name, numerics, last, known)
-                planned = chosen["error"] - chosen["model_error"] if chosen and numerics == chosen["numerics"] else 0.0
+                planned = chosen["error"] - chosen["model_error"] if as_planned else 0.0
                 if method.startswith("a second run") and error < planned < np.inf:
                     error, method = planned, f"the plan's runs; {method} differs by less"
                 if chosen and chosen["model_error"] > 0:
@@ -183,11 +188,12 @@ def _run(keeper, progress, allow_unstable):
             finer = module.finer(scene, numerics, given, min(2.0, error / (MARGIN * tolerance)))
         if chosen and not chosen["error"] <= tolerance:
             finer = numerics  # the plan has tried finer ones
-        if not error > tolerance or outside or status != "ok" or (finer == numerics and given):
+        if not error > tolerance or outside or status != "ok" or (finer == numerics and given and error < np.inf):
             break
         if attempt == REFINEMENTS or finer == numerics:
+            told = f"{error:.2g}" if error < np.inf else f"infinite ({method})"
             warnings.warn(
-                f"tolerance = {tolerance:g}: not met, the error estimate is {error:.2g} with {numerics}; "
+                f"tolerance = {tolerance:g}: not met, the error estimate is {told} with {numerics}; "
                 "name finer numerics, shorten the duration, or ask less of a road that is nearly flat",
                 stacklevel=3,
             )
@@ -207,8 +213,11 @@ def _run(keeper, progress, allow_unstable):
         outcome |= {
             "model_error": chosen["model_error"],
             "plan": chosen["reason"],
+            "plan_given": json.dumps(given),
             "planning_time": chosen["planning_time"],
         }
+    if allow_unstable:
+        outcome["allow_unstable"] = 1
     if last.airborne is not None:
         outcome["airborne_passages"] = last.airborne
     return keeper.finish(outcome)
@@ -227,7 +236,7 @@ def _error_of(scene, name, numerics, last, known) -> tuple[float, str]:
 def _collect(keeper, module, times, numerics, progress, outside) -> str:
     """Give the keeper the samples of a run up to its end or to where it blows up; its status."""
     scene, times = keeper.job.scene, module.sample_times(keeper.job.scene, times, numerics)
-    watch = Watch(scene, outside)
+    watch = Watch(scene, keeper.job.model, outside, keeper.job.allow_unstable)
     report = progress if callable(progress) else None
     # progress None: only in a terminal, and only for what takes longer than two seconds
     shown = progress is True or (progress is None and sys.stderr is not None and sys.stderr.isatty())

@@ -287,8 +287,11 @@ def scene_of(ds: xr.Dataset) -> Scene:
         ) from None
 
 
-def arguments_of(ds: xr.Dataset) -> dict:
-    """The arguments of `simulate` that a result was computed with. StoreError if it does not carry them."""
+def arguments_of(ds: xr.Dataset, planned: bool = False) -> dict:
+    """The arguments of `simulate` that a result was computed with; planned: where "auto" chose, those given to it.
+
+    StoreError if `ds` does not carry them.
+    """
     if not isinstance(ds, xr.Dataset):
         raise StoreError(f"{shown(ds)}: no Dataset; open a file by traffic_road.open")
     scene = scene_of(ds)
@@ -299,6 +302,10 @@ def arguments_of(ds: xr.Dataset) -> dict:
             raise TypeError(f"model = {arguments['model']!r}")
         if np.ndim(arguments["samples"]) == 0:
             arguments["samples"] = int(arguments["samples"])
+        if ds.attrs.get("allow_unstable"):
+            arguments["allow_unstable"] = True
+        if planned and "plan_given" in ds.attrs:
+            arguments["model"], numerics = "auto", json.loads(ds.attrs["plan_given"])
         return {"scene": scene, **arguments, **numerics}
     except (KeyError, TypeError, ValueError, RecursionError) as error:
         raise StoreError(

@@ -24,6 +24,7 @@ of 10 %.
 
 from __future__ import annotations
 
+import math
 from functools import lru_cache
 from time import perf_counter
 
@@ -38,7 +39,9 @@ from . import Breath, Pace, Sample
 from .continuum_state import Continuum, Kinds, constant, linear_throughout, modes, present, start
 
 KEYWORDS = ("nodes", "step")
+RESOLVED = 0.625  # of `resolving`: a grid with room for that wave, and a quarter more
 PAIR_RATIO = 2.0  # a pair of runs differs by 3 times the error of the better one at order 2, by more at order 4
+HALF = 0.7  # of the nodes, at most, that a run compared with may have
 LARGEST = 2e9  # multiplications in one product of all matrices: about a minute for a rebuild
 MOST_STEPS = 1e10
 MOST_WAVES = 64  # that are looked at for the longest step
@@ -47,11 +50,11 @@ LONGEST_BATCH = 0.05  # seconds within which that is doubled
 
 
 def numerics(scene, given: dict) -> dict:
-    """`nodes` (road nodes) and `step` (longest time step, default 0.5), with defaults filled in.
+    """`nodes` (road nodes) and `step` (longest time step, default 0.5/omega of the quickest car), with defaults filled in.
 
     The default of `nodes` is 16 a wave for a profile of one wave (room for seven harmonics), 4 for the shortest wave of
-    any other, and at least 32; where harmonics cannot arise (constant laws, lift_off=False), what the profile needs
-    and at least 16.
+    any other, at least 32 and what `resolving` says; where harmonics cannot arise (constant laws, lift_off=False), what
+    the profile needs and at least 16.
     SceneError: an unknown keyword, a value out of range, nodes that do not resolve the profile, more work than can be
     done, laws that overflow, an undamped car in resonance with the road it is to be settled on. StabilityError: a step
     beyond `longest_step`.
@@ -71,7 +74,7 @@ def unstable_numerics(scene, given: dict) -> dict:
     unknown = sorted(set(given) - set(KEYWORDS))
     if unknown:
         raise SceneError(f"unknown keyword {unknown[0]!r} for the continuum; allowed are {', '.join(KEYWORDS)}")
-    step = finite("step", given.get("step", 0.5), above=0)
+    step = finite("step", given.get("step", default_step(scene)), above=0)
     if scene.duration / step > MOST_STEPS:
         raise SceneError(
             f"step = {step:g}: more than {MOST_STEPS:.0e} steps in a duration of {scene.duration:g}; use a longer step"
@@ -99,7 +102,8 @@ def unstable_numerics(scene, given: dict) -> dict:
 
 
 def longest_step(scene, numerics: dict) -> float:
-    """The step from which on a high wave grows that should decay; inf if not below `numerics["step"]`.
+    """The step from which on a high wave grows that should decay, or twice as fast as it should; inf if not below
+    `numerics["step"]`.
 
     However high it gets, a wave is clipped half the time: the remainder takes back half of what contact does (the same
     half by which the saturation limit is twice the neutral softness). This is exact but for harmonics, which move it by
@@ -115,25 +119,50 @@ def longest_step(scene, numerics: dict) -> float:
     if linear_throughout(scene, numerics["nodes"], scene.duration):
         return np.inf
     # waves that cars answer to, and no more than tell where the limit is
-    longest = max(2, np.count_nonzero(begin.k <= 3 * np.max(begin.kinds.frequency / begin.kinds.speed)))
+    longest = max(2, np.count_nonzero(begin.k <= 3 * begin.kinds.quickest))
     some = np.unique(np.linspace(0, min(longest, begin.k.size) - 1, MOST_WAVES).astype(int))
     return step_limit(system[some], source, row[some], step)
 
 
-def coarser(scene, numerics: dict) -> dict:
-    """Twice the step and half the nodes, but no fewer nodes than the profile needs.
+def default_step(scene) -> float:
+    """0.5/omega of the quickest car."""
+    return 0.5 / float(Kinds.of(scene.fleet).frequency.max())
 
+
+def resolving(scene) -> int:
+    """Nodes that give four to the shortest wave that cars answer to, 2 pi u/omega: on fewer than two, bouncing is lost."""
+    return math.ceil(4 * scene.road.length * Kinds.of(scene.fleet).quickest / (2 * np.pi))
+
+
+def coarser(scene, numerics: dict) -> dict | None:
+    """Twice the step and half the nodes, or the somewhat more that the profile needs.
+
+    None where that would say too little: both grids miss what cars answer to, or the profile needs nearly all the nodes.
     The step may be beyond `longest_step`: half of it is as wrong as that run tells, where a finer one would say too little.
     """
     (waves,) = present(start(scene, numerics["nodes"]).spectrum).nonzero()
-    least = 2 * waves[-1] + 1 if waves.size else 1
-    return {"nodes": max(numerics["nodes"] // 2, int(least)), "step": 2 * numerics["step"]}
+    nodes = max(numerics["nodes"] // 2, 2 * int(waves.max(initial=0)) + 1)
+    if numerics["nodes"] < RESOLVED * resolving(scene) or nodes > HALF * numerics["nodes"]:
+        return None
+    return {"nodes": nodes, "step": 2 * numerics["step"]}
 
 
 def finer(scene, numerics: dict, given: dict) -> dict:
-    """Half the step and twice the nodes, but for what was given."""
-    finest = {"nodes": 2 * numerics["nodes"], "step": numerics["step"] / 2}
+    """Half the step and twice the nodes, and no fewer than `resolving`, but for what was given."""
+    finest = {"nodes": max(2 * numerics["nodes"], resolving(scene)), "step": numerics["step"] / 2}
     return numerics | {name: value for name, value in finest.items() if name not in given}
+
+
+def fitted(times, numerics: dict) -> dict:
+    """With the longest `step` that is taken where equal ones lead from one sample to the next."""
+    times = np.asarray(times, dtype=float)
+    step = float(np.max(np.diff(times) / steps_between(times[:-1], times[1:], numerics["step"])))
+    return numerics | {"step": step} if step < (1 - 1e-9) * numerics["step"] else numerics
+
+
+def steps_between(now, time, step: float):
+    """Fewest equal steps that are no longer than `step`, but for rounding; broadcasts."""
+    return np.maximum(1, np.ceil((time - now) / step * (1 - 1e-12)))
 
 
 def sample_times(scene, times, numerics: dict) -> np.ndarray:
@@ -168,7 +197,7 @@ def samples(scene, times, numerics: dict, state: dict | None = None):
     pace, batch = Pace(), max(1, FIRST_BATCH // numerics["nodes"])
     for time in map(float, times[taken:]):
         if time > now and not left:
-            steps = max(1, int(np.ceil((time - now) / numerics["step"] * (1 - 1e-12))))
+            steps = int(steps_between(now, time, numerics["step"]))
             updates += steps * numerics["nodes"]
             # not asked again for the whole run
             linear = always_linear or (time - now < times[-1] and continuum.stays_linear(time - now))
@@ -212,4 +241,6 @@ def _default_nodes(scene) -> int:
         return max(16, 2 * waves + 2)
     wave = np.abs(rfft(road.profile.sample(road.length, 2 * waves + 1))[1:])
     single = np.count_nonzero(wave > 1e-14 * wave.max(initial=0)) == 1
-    return max(32, (16 if single else 4) * waves)
+    nodes = max(32, (16 if single else 4) * waves)
+    least = resolving(scene)
+    return nodes if nodes >= least or linear_throughout(scene, nodes, scene.duration) else least

@@ -46,6 +46,11 @@ class Kinds(NamedTuple):
         """Share times mass, so that a sum over kinds is the mean force over the cars."""
         return self.share * self.mass
 
+    @property
+    def quickest(self) -> float:
+        """Wavenumber omega/u of the shortest wave that any of them answers to."""
+        return float(np.max(self.frequency / self.speed))
+
 
 def modes(nodes: int) -> int:
     """Waves 0, 1, ... that the grid resolves; the wave of two nodes is not one."""
