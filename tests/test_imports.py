@@ -26,19 +26,20 @@ RANK = {
     "costs": 5,
     "outlook": 5,
     "predict": 6,
-    "planning": 7,
+    "predict_runs": 7,
+    "planning": 8,
     "stream": 5,
     "checkpoint": 5,
     "signals": 5,
     "keeper": 6,
-    "run": 8,
+    "run": 9,
     "measures": 8,
-    "sweeps": 9,
-    "sweep_command": 10,
+    "sweeps": 10,
+    "sweep_command": 11,
     "analysis": 5,
-    "comparison": 9,
-    "plots": 10,
-    "cli": 11,
+    "comparison": 10,
+    "plots": 11,
+    "cli": 12,
     "": 0,  # traffic_road/__init__.py: names only, loaded when asked for
 }
 PACKAGES = {"schemes", "theory", "models", "sweeps"}
@@ -61,8 +62,8 @@ FORBIDDEN = {
 }
 ALLOWED = {
     ("theory/floquet", "models/cars"),  # in a function: the defaults of the scheme that it describes
-    ("models/linear", "theory/floquet"),  # the one model that is a closed form
-    ("models/linear", "theory/dispersion"),
+    ("models/linear_state", "theory/floquet"),  # the one model that is a closed form
+    ("models/linear_state", "theory/dispersion"),
 }
 
 

@@ -9,7 +9,8 @@ import pytest
 import traffic_road as tr
 from traffic_road.estimate import corrugation_difference
 from traffic_road.models import cars, linear
-from traffic_road.models.linear import Blocks, takes_off
+from traffic_road.models.linear import takes_off
+from traffic_road.models.linear_state import Blocks
 
 K = 0.9
 LENGTH = 2 * np.pi / K

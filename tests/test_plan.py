@@ -9,7 +9,7 @@ import traffic_road as tr
 from traffic_road.estimate import corrugation_difference
 from traffic_road.models import cars
 from traffic_road.outlook import piece, takes_off
-from traffic_road.predict import ByRuns
+from traffic_road.predict_runs import ByRuns
 
 K = 0.9
 

@@ -7,7 +7,8 @@ import traffic_road as tr
 from traffic_road import costs, planning
 from traffic_road.estimate import corrugation_difference
 from traffic_road.models import cars, model
-from traffic_road.predict import ByRuns, ByTheory
+from traffic_road.predict import ByTheory
+from traffic_road.predict_runs import ByRuns
 
 K = 0.9
 

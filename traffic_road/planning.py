@@ -15,7 +15,8 @@ from .laws import finite
 from .models import MODELS, continuum, linear, model
 from .models.continuum_state import linear_throughout
 from .outlook import constant_laws, matrices, takes_off, whole_headways
-from .predict import ByRuns, ByTheory, Predicted
+from .predict import ByTheory, Predicted
+from .predict_runs import ByRuns
 from .scene import Scene
 
 ROWS = (4, 6, 8, 12, 16, 24, 32, 48, 64, 96, 128, 192, 256, 384, 512, 1024, 2048)  # nodes a headway that are tried
