@@ -101,6 +101,19 @@ def test_the_step_of_the_continuum_is_that_taken_from_sample_to_sample():
     assert np.array_equal(uneven.road_height, again.road_height)
 
 
+@pytest.mark.parametrize(("headways", "every"), [(3, 2), (4, 4), (4, 6), (8, 6)])
+def test_error_estimate_sees_a_relaxation_as_long_as_the_run(headways, every):
+    # twice the interval would be the same run
+    road = tr.Road(2 * np.pi / 0.12, 0.019, 0.0052, tr.Sine(0.5, 0.12))
+    case = tr.Scene(road, tr.Fleet(2, 0.11, speed=(0.9, 1.15)), 1.0)
+    case = replace(case, duration=headways * case.headway_time)
+    ds, reference = (
+        tr.simulate(case, "cars", samples=2, nodes=n, hold=5, relax_every=e) for n, e in ((1024, every), (4096, 1))
+    )
+    error = corrugation_difference(reference.road_height.values[-1], ds.road_height.values[-1])
+    assert error <= ds.error_estimate <= 3 * error
+
+
 @pytest.mark.parametrize("duration", [128.3, 161.0, 200.0])
 @pytest.mark.parametrize("nodes", [192, 384, 768])
 def test_error_estimate_of_evenly_spaced_cars_of_many_kinds_is_true(nodes, duration):

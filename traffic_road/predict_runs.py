@@ -14,10 +14,12 @@ from . import costs
 from .errors import SceneError, StabilityError
 from .health import RUNAWAY
 from .models import cars, continuum, linear
+from .models.continuum_state import Kinds
 from .outlook import piece, whole_headways
 from .predict import ENOUGH, KNOWN, Predicted, order, relative
 
 CAUTION = 0.7  # of a predicted difference of two runs: the less it is, the larger the error that it tells
+ANSWER = 1.0  # omega dx/u
 MOST_LEVELS, MOST_NODES = 6, 20_000  # of coarse runs of an uneven fleet
 LEAST_CONTINUUM = 16  # nodes, below which nothing is gained
 
@@ -84,6 +86,14 @@ class ByRuns:
         raise SceneError("frequency: no grid can be as fine as this fleet needs; use a lower frequency or longer road")
 
     @cached_property
+    def _answering(self) -> int:
+        """Nodes of the coarsest grid whose spacing cars answer to: what a longer relaxation smooths away is seen there."""
+        nodes, quickest = self.least, Kinds.of(self.piece.fleet).quickest
+        while self.piece.road.length / nodes * quickest > ANSWER:
+            nodes *= 2
+        return nodes
+
+    @cached_property
     def _levels(self):
         """Nodes of the coarse grids, their errors, and the order: of what finer ones leave 1 at most.
 
@@ -127,9 +137,10 @@ class ByRuns:
         error = self._grid(nodes)
         differs = self._grid(nodes / 2) - error if nodes >= 2 * self.least else error
         if every > 1:
-            relaxed = relative(self._cars(self.least), self._cars(self.least, every))
+            coarse = self._answering
+            relaxed = relative(self._cars(coarse), self._cars(coarse, every))
             # order 2 would make it 3 times that; the steps at the wheels, smoothed the later, make it no more than that
-            further = relative(self._cars(self.least, every), self._cars(self.least, 2 * every))
+            further = relative(self._cars(coarse, every), self._cars(coarse, 2 * every))
             error, differs = error + relaxed, differs + min(further, 3 * relaxed)
         if self.piece is self.scene and nodes < self._levels[0][-1]:  # finer runs have told already
             return Predicted(error, 0.0, KNOWN)

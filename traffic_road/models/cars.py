@@ -77,8 +77,11 @@ def unstable_numerics(scene, given: dict) -> dict:
 
 
 def coarser(scene, chosen: dict) -> dict | None:
-    """Half the nodes and, where relaxation is less often than every headway, twice the interval; None if impossible."""
+    """Half the nodes and, where relaxation is less often than every headway, twice the interval; None if impossible, or if
+    the run is so short that its intervals would be the same."""
     count = scene.fleet.count
+    if chosen["relax_every"] > 1 and _headways(scene) < 2 * chosen["relax_every"]:
+        return None
     nodes = chosen["nodes"] // 2
     if chosen["nodes"] % count == 0 and chosen["nodes"] > count:
         nodes = count * (chosen["nodes"] // count // 2)  # an even fleet stays one
@@ -89,13 +92,17 @@ def coarser(scene, chosen: dict) -> dict | None:
         return None
 
 
+def _headways(scene) -> int:
+    return round(scene.duration / scene.headway_time)
+
+
 def finer(scene, chosen: dict, given: dict, times: float = 2) -> dict:
     """So many times the nodes, in whole pairs a headway, and half the relaxation interval; what was given stays."""
     pair, nodes, every = 2 * scene.fleet.count, chosen["nodes"], chosen["relax_every"]
     if "nodes" not in given:
         nodes = 2 * nodes if times == 2 else pair * math.ceil(times * nodes / pair)
     if "relax_every" not in given:
-        every = max(1, every // 2)
+        every = max(1, min(every, _headways(scene)) // 2)
     return {**chosen, "nodes": nodes, "relax_every": every}
 
 
