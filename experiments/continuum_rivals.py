@@ -3,7 +3,7 @@
 For work_precision and continuum_speed.
 """
 
-from time import perf_counter, process_time
+from time import process_time
 from typing import NamedTuple
 
 import numpy as np
@@ -43,8 +43,8 @@ class Solved(NamedTuple):
     reason: str  # why the integrator gave up, or ""
 
 
-def solver(case, method: str, nodes: int, rtol: float, *, times=None, limit=np.inf, clock=process_time):
-    """A function that runs solve_ivp and returns Solved; TooLong once that takes `limit` seconds by `clock`.
+def solver(case, method: str, nodes: int, rtol: float, times=None):
+    """A function that runs solve_ivp and returns Solved; TooLong once that takes its `limit`, seconds of CPU time.
 
     times: of the roads, by default the end; solve_ivp starts anew from each, so that no interpolant is looked at.
     """
@@ -58,13 +58,13 @@ def solver(case, method: str, nodes: int, rtol: float, *, times=None, limit=np.i
             counts["steps"] += 1
             return super().step()
 
-    def call() -> Solved:
+    def call(limit: float = np.inf) -> Solved:
         counts.update(calls=0, steps=0)
-        end = clock() + limit
+        end = process_time() + limit
 
         def watched(t, state):
             counts["calls"] += 1
-            if clock() > end:
+            if process_time() > end:
                 raise TooLong
             return rhs(t, state)
 
@@ -93,7 +93,7 @@ def faster_right_hand_side(case, nodes: int):
     """Of derivatives by transforms and by a matrix the faster."""
     state = state_at_start(case, nodes)
     both = [right_hand_side(case, nodes, by_matrix) for by_matrix in (False, True)]
-    times = [best(lambda f=f: [f(0.0, state) for _ in range(20)], 5, perf_counter)[0] for f in both]
+    times = [best(lambda f=f: [f(0.0, state) for _ in range(20)], 5)[0] for f in both]
     return both[int(np.argmin(times))]
 
 

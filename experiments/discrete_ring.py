@@ -22,16 +22,16 @@ WARM = 0.05  # seconds
 LONG = 16_384  # nodes of the road on which relaxations are timed
 
 
-def best(call, repeats: int = REPEATS, clock=process_time, patience: float = np.inf):
-    """The shortest time by `clock` of `repeats` calls after a warm-up, what the last returned, and how many were timed.
+def best(call, repeats: int = REPEATS, patience: float = np.inf):
+    """The shortest CPU time of `repeats` calls after a warm-up, what the last returned, and how many were timed.
 
     A warm-up of 50 ms or more counts among them: nothing of it is the warming. No call after `patience` seconds in all.
     """
     times = []
     while len(times) < repeats + 1:
-        begin = clock()
+        begin = process_time()
         result = call()
-        times.append(clock() - begin)
+        times.append(process_time() - begin)
         if sum(times) > patience or (times[0] > WARM and len(times) == repeats):
             break
     timed = times if times[0] > WARM else times[1:]
