@@ -7,7 +7,8 @@ Four scenes of one wavelength, 8 cars on it: smooth and linear; hardening (alpha
     relaxation  a scheme, every 8 headways to 32 steps a headway, with n nodes (exact cars, cubic hold); the same reference
     continuum   this package, solve_ivp's five with a spectral right-hand side, and cars of either passage, 4 to 96 a
                 wavelength; reference: a matrix exponential (linear scenes), DOP853 at 1e-12, or this package on 511 nodes
-    model       linear, continuum and cars as approximations of the scene of 8 cars; the first reference
+    model       linear, continuum and cars as approximations of the scene of 8 cars; the first reference. In the linear
+                scenes closed forms of the growth rate, too
 
 The error is that of the road at the end: L2 at 32 places (continuum: 64), mean removed, relative; in the linear scenes those
 of growth rate and velocity, too, from roads after 5, 6, 7 and 8 eighths of the time, against closed forms: the continuum's
@@ -254,6 +255,23 @@ def of_models(name: str, rows: list, reference, quick: bool) -> None:
                 add_model(chart, f"cars, hold {hold}", f"{n} nodes, every {interval}", "cars", numerics)
 
 
+def of_theory(name: str, rows: list, quick: bool) -> None:
+    """Closed forms of the growth rate, beside the models of the discrete scene."""
+    case, (k, damping, softness, diffusivity, *_) = scene(name), CASES[name]
+    chart = Chart(rows, name, case, "model", None, of_the_cars(name))
+    road = {"softness": softness, "diffusivity": diffusivity, "damping": damping}
+    forms = {
+        ("theory: leading order", "closed form"): lambda: tr.theory.dispersion_leading(k, **road),
+        ("theory: cubic", "closed form"): lambda: tr.theory.dispersion(k, **road),
+        ("theory: with headway", "closed form"): lambda: tr.theory.dispersion(k, **road, headway=case.headway),
+    }
+    for n in (4, 32) if quick else (4, 8, 16, 32, 64):
+        forms["theory: Floquet", f"{n} nodes"] = lambda n=n: tr.theory.floquet(case, k, nodes=n * CARS, hold=5)
+    for (method, setting), form in forms.items():
+        seconds, sigma, _ = best(form, 5)
+        chart.add_theory(method, setting, seconds, sigma)
+
+
 def main() -> None:
     chosen = options(__doc__)
     quick, rows, checked = chosen.quick, [], {}
@@ -271,6 +289,8 @@ def main() -> None:
         of_relaxations(name, rows, reference, quick)
         checked[name, "continuum"] = of_continuum(name, rows, quick)
         of_models(name, rows, reference, quick)
+        if name in LINEAR:
+            of_theory(name, rows, quick)
         print(f"{name}: {process_time():.0f} s")
     ds = dataset(rows)
     ds.attrs |= {f"reference_{name}_{what}": value for (name, what), value in checked.items()}

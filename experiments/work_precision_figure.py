@@ -48,7 +48,7 @@ STYLES = {
         "DOP853": (RED, "^"),
         "LSODA": (PURPLE, "s"),
         "BDF": (SKY, "D"),
-        "Radau": (BLACK, "P"),
+        "Radau": (BLACK, "p"),
         "cars, force from before": ("0.45", "$b$"),
         "cars, midpoint": (GREEN, "$m$"),
         "this package": (BLUE, "o"),
@@ -59,6 +59,10 @@ STYLES = {
         "cars, hold 1": (SKY, "o"),
         "cars, hold 3": (BLUE, "o"),
         "cars, hold 5": (GREEN, "o"),
+        "theory: leading order": (RED, "v"),
+        "theory: cubic": (PURPLE, "s"),
+        "theory: with headway": (PURPLE, "D"),
+        "theory: Floquet": (RED, "D"),
     },
 }
 LOWEST = 1e-10
@@ -77,7 +81,7 @@ def draw(ds) -> Figure:
     for axes, text in zip(grid[3], TIMES, strict=True):
         axes.set_xlabel(text)
     for axes, question in zip(grid[4], TITLES, strict=True):
-        legend(axes, question)
+        legend(axes, question, [method for method in STYLES[question] if not method.startswith("theory")])
     figure.suptitle("Error (1e-10: or less) against time of one core; crosses failed, the grey line is the front")
     return figure
 
@@ -116,13 +120,14 @@ def panels(figure, heights):
 def panel(axes, ds, name, question, what):
     mine = ds.isel(run=np.flatnonzero((ds.scene == name) & (ds.question == question)))
     seconds, error, sound = mine.seconds.values, mine[what].values, mine.reason.values == ""
-    lowest = max(LOWEST, 0.3 * np.nanmin(np.where(sound & (error > 0), error, np.nan)))
+    known = sound & np.isfinite(error)  # a closed form has no road
+    lowest = max(LOWEST, 0.3 * np.min(error[known & (error > 0)]))
     error = np.maximum(error, lowest)
-    line(axes, seconds[sound], error[sound], color=GREY, lw=7, zorder=0, solid_capstyle="round")
+    line(axes, seconds[known], error[known], color=GREY, lw=7, zorder=0, solid_capstyle="round")
     edge = EDGE
     for method, (colour, marker) in STYLES[question].items():
         is_it = mine.method.values == method
-        good, bad = is_it & sound, is_it & ~sound & np.isfinite(seconds)
+        good, bad = is_it & known, is_it & ~sound & np.isfinite(seconds)
         axes.plot(seconds[good], error[good], ls="", marker=marker, color=colour, ms=4, mfc="none", mew=0.9, alpha=0.7)
         line(axes, seconds[good], error[good], color=colour, lw=0.9)
         axes.plot(seconds[bad], np.full(bad.sum(), edge), "x", color=colour, ms=5)
@@ -143,10 +148,10 @@ def line(axes, seconds, error, **style):
     axes.plot(seconds[on], error[on], "-", **style)
 
 
-def legend(axes, question):
+def legend(axes, question, methods=None):
     axes.axis("off")
-    marks = [
-        Line2D([], [], color=colour, marker=marker, mfc="none", lw=0.9, label=method)
-        for method, (colour, marker) in STYLES[question].items()
-    ]
+    marks = []
+    for method in methods or STYLES[question]:
+        colour, marker = STYLES[question][method]
+        marks.append(Line2D([], [], color=colour, marker=marker, mfc="none", lw=0.9, label=method))
     axes.legend(handles=marks, loc="upper center", frameon=False, fontsize="small")
