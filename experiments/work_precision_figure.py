@@ -3,7 +3,6 @@
 import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.ticker import NullFormatter
 
 from traffic_road.plots import BLACK, BLUE, GREEN, ORANGE, PURPLE, RED, SKY
 
@@ -19,6 +18,12 @@ SCENES = {
     "bouncing": "bouncing cars",
     "resonance": "near-critical resonance",
 }
+OF = {
+    "growth_error": "error of the growth rate",
+    "velocity_error": "error of the velocity",
+    "wave_error": "error of the first harmonic",
+}
+TIMES = ("time of the passages (s)", "passages and relaxation (s)", "time (s)", "time (s)")
 GREY = "0.8"
 STYLES = {
     "cars": {
@@ -43,7 +48,7 @@ STYLES = {
         "DOP853": (RED, "^"),
         "LSODA": (PURPLE, "s"),
         "BDF": (SKY, "D"),
-        "Radau": (BLACK, "P"),
+        "Radau": (BLACK, "p"),
         "cars, force from before": ("0.45", "$b$"),
         "cars, midpoint": (GREEN, "$m$"),
         "this package": (BLUE, "o"),
@@ -54,66 +59,83 @@ STYLES = {
         "cars, hold 1": (SKY, "o"),
         "cars, hold 3": (BLUE, "o"),
         "cars, hold 5": (GREEN, "o"),
+        "theory: leading order": (RED, "v"),
+        "theory: cubic": (PURPLE, "s"),
+        "theory: with headway": (PURPLE, "D"),
+        "theory: Floquet": (RED, "D"),
     },
 }
 LOWEST = 1e-10
-EDGE = 3.0  # where failed runs stand
+EDGE, BELOW = 4.0, 0.55  # where failed runs stand, those of each method a little below the last's
 
 
 def draw(ds) -> Figure:
     figure = Figure(figsize=(13, 13.5), layout="constrained")
-    grid = figure.subplots(5, 4, height_ratios=(1, 1, 1, 1, 0.62))
+    grid = panels(figure, (1, 1, 1, 1, 0.62))
     for i, name in enumerate(SCENES):
         for axes, question in zip(grid[i], TITLES, strict=True):
             panel(axes, ds, name, question, "error")
             if i == 0:
                 axes.set_title(TITLES[question])
         grid[i, 0].set_ylabel(f"{SCENES[name]}\nerror of the road")
-    what = ("time of the passages (s)", "passages and relaxation (s)", "time (s)", "time (s)")
-    for axes, text in zip(grid[3], what, strict=True):
+    for axes, text in zip(grid[3], TIMES, strict=True):
         axes.set_xlabel(text)
     for axes, question in zip(grid[4], TITLES, strict=True):
-        legend(axes, question)
-    figure.suptitle("Error against time of one core; crosses failed, the grey line is the front")
+        legend(axes, question, [method for method in STYLES[question] if not method.startswith("theory")])
+    figure.suptitle("Error (1e-10: or less) against time of one core; crosses failed, the grey line is the front")
     return figure
 
 
 def draw_growth(ds) -> Figure:
-    """The long wave alone, by stepper and by relaxation: growth rate of the linear scenes, first harmonic of bouncing."""
-    figure = Figure(figsize=(9, 11.5), layout="constrained")
-    grid = figure.subplots(4, 2, height_ratios=(1, 1, 1, 0.62))
-    shown = {"smooth": "growth_error", "resonance": "growth_error", "bouncing": "wave_error"}
-    for row, (name, what) in zip(grid[:3], shown.items(), strict=True):
-        for axes, question in zip(row, ("cars", "relaxation"), strict=True):
+    """The long wave alone: growth rate and velocity in the linear scenes, the first harmonic under bouncing cars."""
+    figure = Figure(figsize=(13, 16), layout="constrained")
+    grid = panels(figure, (1, 1, 1, 1, 1, 0.66))
+    shown = [(name, what) for name in ("smooth", "resonance") for what in ("growth_error", "velocity_error")]
+    for row, (name, what) in zip(grid[:5], [*shown, ("bouncing", "wave_error")], strict=True):
+        for axes, question in zip(row, TITLES, strict=True):
             panel(axes, ds, name, question, what)
-            if name == "smooth":
-                axes.set_title(TITLES[question])
-        text = "error of the growth rate" if what == "growth_error" else "error of the first harmonic"
-        row[0].set_ylabel(f"{SCENES[name]}\n{text}")
-    for axes, question in zip(grid[3], ("cars", "relaxation"), strict=True):
+        row[0].set_ylabel(f"{SCENES[name]}\n{OF[what]}")
+    for axes, title in zip(grid[0], TITLES.values(), strict=True):
+        axes.set_title(title)
+    for axes, text in zip(grid[4], TIMES, strict=True):
+        axes.set_xlabel(text)
+    for axes, question in zip(grid[5], TITLES, strict=True):
         legend(axes, question)
-    grid[2, 0].set_xlabel("time of the passages (s)")
-    grid[2, 1].set_xlabel("passages and relaxation (s)")
-    figure.suptitle("The long wave alone: high orders pay here, less so under bouncing cars")
+    figure.suptitle(
+        "The long wave alone, against closed forms (1e-10: or less): high orders pay, less under bouncing cars"
+    )
     return figure
+
+
+def panels(figure, heights):
+    """Axes (rows, 4), the last row for the legends; a column, a question, has one axis of time."""
+    grid = figure.subplots(len(heights), 4, height_ratios=heights)
+    for axes in grid[1:-1].ravel():
+        axes.sharex(grid[0, axes.get_subplotspec().colspan.start])
+    for axes in grid[:-2].ravel():
+        axes.tick_params(labelbottom=False)
+    return grid
 
 
 def panel(axes, ds, name, question, what):
     mine = ds.isel(run=np.flatnonzero((ds.scene == name) & (ds.question == question)))
     seconds, error, sound = mine.seconds.values, mine[what].values, mine.reason.values == ""
-    lowest = max(LOWEST, 0.3 * np.nanmin(np.where(sound & (error > 0), error, np.nan)))
+    known = sound & np.isfinite(error)  # a closed form has no road
+    lowest = max(LOWEST, 0.3 * np.min(error[known & (error > 0)]))
     error = np.maximum(error, lowest)
-    line(axes, seconds[sound], error[sound], color=GREY, lw=7, zorder=0, solid_capstyle="round")
+    line(axes, seconds[known], error[known], color=GREY, lw=7, zorder=0, solid_capstyle="round")
+    edge = EDGE
     for method, (colour, marker) in STYLES[question].items():
         is_it = mine.method.values == method
-        good, bad = is_it & sound, is_it & ~sound & np.isfinite(seconds)
+        good, bad = is_it & known, is_it & ~sound & np.isfinite(seconds)
         axes.plot(seconds[good], error[good], ls="", marker=marker, color=colour, ms=4, mfc="none", mew=0.9, alpha=0.7)
         line(axes, seconds[good], error[good], color=colour, lw=0.9)
-        axes.plot(seconds[bad], np.full(bad.sum(), EDGE), "x", color=colour, ms=5)
+        axes.plot(seconds[bad], np.full(bad.sum(), edge), "x", color=colour, ms=5)
         if np.any(is_it & ~sound & ~np.isfinite(seconds)):  # refused: it took no time
-            axes.plot(0.02, EDGE, "x", color=colour, ms=5, transform=axes.get_yaxis_transform())
+            axes.plot(0.02, edge, "x", color=colour, ms=5, transform=axes.get_yaxis_transform())
+        edge *= BELOW if np.any(is_it & ~sound) else 1.0  # so that none hides another
     axes.set(xscale="log", yscale="log", ylim=(lowest / 2, 8.0))
-    axes.xaxis.set_minor_formatter(NullFormatter())  # over less than two decades the labels would overlap
+    axes.minorticks_off()
     axes.axhline(1.0, color=BLACK, lw=0.5, ls=":")
     axes.grid(lw=0.3)
 
@@ -126,10 +148,10 @@ def line(axes, seconds, error, **style):
     axes.plot(seconds[on], error[on], "-", **style)
 
 
-def legend(axes, question):
+def legend(axes, question, methods=None):
     axes.axis("off")
-    marks = [
-        Line2D([], [], color=colour, marker=marker, mfc="none", lw=0.9, label=method)
-        for method, (colour, marker) in STYLES[question].items()
-    ]
+    marks = []
+    for method in methods or STYLES[question]:
+        colour, marker = STYLES[question][method]
+        marks.append(Line2D([], [], color=colour, marker=marker, mfc="none", lw=0.9, label=method))
     axes.legend(handles=marks, loc="upper center", frameon=False, fontsize="small")
