@@ -109,14 +109,15 @@ def longest_step(scene, numerics: dict) -> float:
     half by which the saturation limit is twice the neutral softness). This is exact but for harmonics, which move it by
     tenths; lower waves, clipped less, have no lower limit.
     """
-    step, begin = numerics["step"], start(scene, numerics["nodes"])
+    step, nodes = numerics["step"], numerics["nodes"]
+    if not scene.lift_off or linear_throughout(scene, nodes, scene.duration):
+        return np.inf
+    begin = start(scene, nodes)
     system, source = begin.linear
     cars = slice(1, 1 + len(begin.kinds.speed))
     row = np.zeros(system.shape[:2], dtype=complex)
     row[:, cars] = -0.5 * system[:, 0, cars]
-    if not scene.lift_off or step * np.abs(row @ source).max() < SAFE:
-        return np.inf
-    if linear_throughout(scene, numerics["nodes"], scene.duration):
+    if step * np.abs(row @ source).max() < SAFE:
         return np.inf
     # waves that cars answer to, and no more than tell where the limit is
     longest = max(2, np.count_nonzero(begin.k <= 3 * begin.kinds.quickest))
