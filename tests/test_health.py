@@ -85,6 +85,7 @@ def test_growth_beyond_the_limit_is_caught_kept_up_to_there_and_explained(model)
     with pytest.warns(UserWarning, match="beyond the saturation limit"):
         ds = tr.simulate(scene(0.05), model, samples=1601, tolerance=1.0, nodes=64)
     assert "beyond the saturation limit" in ds.status and "numerical" not in ds.status
+    assert ds.status.endswith("allow_unstable=True follows it further")
     size, most = np.ptp(ds.road_height.values, axis=1), ALARM * (1 + 3.0)
     assert 0.8 * most < size[-1] < most and ds.error_estimate == np.inf
     assert ds.time.values[-1] < 0.5 * 16000

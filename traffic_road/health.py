@@ -68,7 +68,8 @@ class Watch:
         if self.outside:
             return f"{found}; numerical: {self.outside}"
         if self.growth.possible:
-            return f"{found}; {self.growth.reason}"
+            further = "" if self.most == RUNAWAY else "; allow_unstable=True follows it further"
+            return f"{found}; {self.growth.reason}{further}"
         return f"{found}; numerical: {self.growth.reason}; use more nodes, a shorter step or relax more often"
 
 
