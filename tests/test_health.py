@@ -217,6 +217,24 @@ def test_a_grid_without_solution_is_refused_all_the_same():
         tr.simulate(soft, "cars", nodes=4, hold=1, allow_unstable=True)
 
 
+@pytest.mark.filterwarnings("ignore:.*beyond the saturation limit")
+@pytest.mark.parametrize("allow", [False, True])
+def test_how_far_growth_is_followed_is_kept_by_checkpoint_and_result(allow, tmp_path):
+    case = scene(0.05, duration=8000.0)
+    asked = {"model": "continuum", "samples": 201, "nodes": 32, "tolerance": 1.0, "allow_unstable": allow}
+    expected = tr.simulate(case, **asked)
+
+    def stop(done):
+        if done > 0.02:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        tr.simulate(case, **asked, checkpoint=tmp_path / "run", checkpoint_every=0, progress=stop)
+    for again in (tr.resume(tmp_path / "run"), tr.rerun(expected)):
+        assert np.array_equal(again.road_height, expected.road_height) and again.status == expected.status
+    assert (np.ptp(expected.road_height[-1].values) > 4 * ALARM) == allow
+
+
 def test_a_run_outside_a_limit_goes_on_from_its_checkpoint(tmp_path):
     expected = tr.simulate(coarse(), allow_unstable=True, **OUTSIDE)
 
