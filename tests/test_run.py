@@ -90,6 +90,15 @@ def test_a_grid_too_coarse_for_the_waves_that_bouncing_cars_make_tells_so():
         assert error > 1e-4 and error <= ds.error_estimate <= 30 * error
 
 
+def test_given_times_say_how_long_a_run_is_to_its_limits_too():
+    # cars stay on the road for a time of 1, but not of 5000
+    case = scene(amplitude=0.1, softness=0.004, duration=1.0)
+    with pytest.raises(tr.StabilityError, match="blows up from"):
+        tr.simulate(case, "continuum", samples=[0.0, 5000.0], nodes=32, step=1000.0)
+    ds = tr.simulate(case, "continuum", samples=[0.0, 5.0], nodes=32, step=5.0)
+    assert tr.Scene.from_dict(json.loads(ds.scene)).duration == 1.0
+
+
 def test_the_step_of_the_continuum_is_that_taken_from_sample_to_sample():
     case = scene(amplitude=1.5, softness=0.005, duration=50.0)
     asked, taken = (tr.simulate(case, "continuum", samples=101, nodes=32, step=step) for step in (7.3, 0.5))

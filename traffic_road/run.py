@@ -142,6 +142,8 @@ def rerun(ds, **changes) -> xr.Dataset:
 
 def _run(keeper, progress):
     scene, name, tolerance, given, times, even, allow_unstable, chosen = keeper.job
+    if scene.duration != times[-1]:
+        scene = replace(scene, duration=float(times[-1]))
     module = model(name)
     outside = None
     try:
