@@ -67,6 +67,9 @@ NOISE = replace(
         ),
         (NOISE, {"nodes": 13, "step": 0.5}),  # what the profile needs: half of them could not be run
         (NOISE, {"nodes": 16, "step": 0.5}),
+        # only every fourth wave of the ring exists: 16 nodes hold no more of these than 9 do
+        (scene(amplitude=1.0, length=4, count=32, duration=60.0), {"nodes": 16, "step": 0.5}),
+        (scene(amplitude=1.0, length=4, count=32, duration=60.0), {"nodes": 17, "step": 0.5}),
     ],
 )
 def test_error_estimate_of_the_continuum_is_true(case, given):

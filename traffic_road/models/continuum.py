@@ -138,12 +138,15 @@ def resolving(scene) -> int:
 def coarser(scene, numerics: dict) -> dict | None:
     """Twice the step and half the nodes, or the somewhat more that the profile needs.
 
-    None where that would say too little: both grids miss what cars answer to, or the profile needs nearly all the nodes.
+    None where that would say too little: both grids miss what cars answer to, the profile needs nearly all the nodes, or
+    both hold as many harmonics of its waves, all of which are multiples of one.
     The step may be beyond `longest_step`: half of it is as wrong as that run tells, where a finer one would say too little.
     """
     (waves,) = present(start(scene, numerics["nodes"]).spectrum).nonzero()
     nodes = max(numerics["nodes"] // 2, 2 * int(waves.max(initial=0)) + 1)
-    if numerics["nodes"] < RESOLVED * resolving(scene) or nodes > HALF * numerics["nodes"]:
+    base = max(1, int(np.gcd.reduce(waves)))
+    blind = (modes(nodes) - 1) // base == (modes(numerics["nodes"]) - 1) // base
+    if blind or numerics["nodes"] < RESOLVED * resolving(scene) or nodes > HALF * numerics["nodes"]:
         return None
     return {"nodes": nodes, "step": 2 * numerics["step"]}
 
