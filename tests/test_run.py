@@ -113,6 +113,18 @@ def test_the_step_of_the_continuum_is_that_taken_from_sample_to_sample():
     assert np.array_equal(uneven.road_height, again.road_height)
 
 
+@pytest.mark.parametrize("every", [10, 30])
+@pytest.mark.parametrize("nodes", [768, 784])
+def test_error_estimate_of_seldom_relaxation_is_true_on_fine_grids(nodes, every):
+    # up to 96 nodes a headway by a finer matrix; beyond, by coarser ones, of which one must relax every headway
+    ds = tr.simulate(scene(), "cars", samples=2, nodes=nodes, hold=3, relax_every=every)
+    end = float(ds.time[-1])
+    reference = tr.simulate(replace(scene(), duration=end), "cars", samples=2, nodes=784, hold=5)
+    assert float(reference.time[-1]) == pytest.approx(end)
+    error = corrugation_difference(reference.road_height.values[-1], ds.road_height.values[-1])
+    assert error > 1e-3 and error <= ds.error_estimate <= 10 * error
+
+
 @pytest.mark.parametrize(("headways", "every"), [(3, 2), (4, 4), (4, 6), (8, 6)])
 def test_error_estimate_sees_a_relaxation_as_long_as_the_run(headways, every):
     # twice the interval would be the same run

@@ -39,7 +39,8 @@ def error_estimate(scene, name: str, numerics: dict, last: Sample, pair_ratio=No
     module = model(name)
     size = last.road_height.std()
     if name == "cars" and _is_linear(scene, numerics, last):
-        error = np.hypot(_of_waves(scene, numerics, last), _of_ripple(scene, numerics, last))
+        pairs = _pairs(scene.fleet.count, numerics)
+        error = sum(np.hypot(_of_waves(scene, *pair, last), _of_ripple(scene, *pair, last)) for pair in pairs)
         method = "growth rates and ripple, of the scheme and of a finer one"
     elif name == "continuum" and linear_throughout(scene, numerics["nodes"], last.time):
         error = left_by_rounding(scene, last.road_height, last.time)
@@ -88,16 +89,19 @@ def _is_linear(scene, numerics, last):
     return few and even_start(scene, numerics["nodes"]) is not None
 
 
-def _finer_scheme(rows: int, numerics: dict) -> tuple[int, dict]:
-    """Rows and numerics of the scheme to compare with: twice the rows, or half where that would be costly."""
-    if rows > FINE_ROWS:
-        return rows // 2, {**numerics, "nodes": numerics["nodes"] // rows * (rows // 2)}
-    return 2 * rows, {"nodes": 2 * numerics["nodes"], "hold": 5, "relax_every": 1}
+def _pairs(count: int, numerics: dict) -> list[tuple[dict, dict]]:
+    """Numerics of the schemes whose differences make up the error: from twice the rows, or where that would be costly from
+    half of them, and there from relaxation every headway."""
+    rows = numerics["nodes"] // count
+    if rows <= FINE_ROWS:
+        return [(numerics, {"nodes": 2 * numerics["nodes"], "hold": 5, "relax_every": 1})]
+    half = {**numerics, "nodes": count * (rows // 2)}
+    often = {**half, "relax_every": 1}
+    return [(numerics, half)] if half == often else [(numerics, half), (half, often)]
 
 
-def _of_waves(scene, numerics, last) -> float:
-    """Root mean square error of the road from the growth rates of its strongest waves."""
-    _, other = _finer_scheme(numerics["nodes"] // scene.fleet.count, numerics)
+def _of_waves(scene, numerics, other, last) -> float:
+    """Root mean square difference of the road by the growth rates of its strongest waves in two schemes."""
     # of length two headways and more; shorter ones are the ripple of these and of the uniform road
     wave = np.abs(np.fft.rfft(last.road_height))[1 : (scene.fleet.count + 1) // 2] * (
         np.sqrt(2) / last.road_height.size
@@ -129,10 +133,9 @@ def _of_length(shape, size):
     return out
 
 
-def _of_ripple(scene, numerics, last) -> float:
-    """Root mean square error of the ripple, first order in the grid since the wheel rolls down a step."""
-    rows = numerics["nodes"] // scene.fleet.count
-    fine, other = _finer_scheme(rows, numerics)
+def _of_ripple(scene, numerics, other, last) -> float:
+    """The same of the ripple, first order in the grid since the wheel rolls down a step."""
+    count = scene.fleet.count
     fleet = {name: float(scene.fleet.per_car(name)[0]) for name in ("damping", "speed", "frequency", "mass")}
     one = replace(
         scene,
@@ -140,8 +143,9 @@ def _of_ripple(scene, numerics, last) -> float:
         fleet=Fleet(1, **fleet, start=scene.fleet.start),
     )
     roads = []
-    for nodes, parameters in ((rows, numerics), (fine, other)):
-        *_, final = model("cars").samples(one, np.array([0.0, last.time]), {**parameters, "nodes": nodes})
+    for scheme in (numerics, other):
+        scheme = {**scheme, "nodes": scheme["nodes"] // count}
+        *_, final = model("cars").samples(one, np.array([0.0, last.time]), scheme)
         roads.append(final.road_height)
     return 2 * _distance(*roads)
 
