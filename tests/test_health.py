@@ -233,6 +233,8 @@ def test_how_far_growth_is_followed_is_kept_by_checkpoint_and_result(allow, tmp_
     for again in (tr.resume(tmp_path / "run"), tr.rerun(expected)):
         assert np.array_equal(again.road_height, expected.road_height) and again.status == expected.status
     assert (np.ptp(expected.road_height[-1].values) > 4 * ALARM) == allow
+    other = tr.rerun(expected, model="cars", nodes=64)
+    assert (np.ptp(other.road_height[-1].values) > 4 * ALARM) == allow
 
 
 def test_a_run_outside_a_limit_goes_on_from_its_checkpoint(tmp_path):

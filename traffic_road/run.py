@@ -136,7 +136,8 @@ def rerun(ds, **changes) -> xr.Dataset:
     """
     arguments = arguments_of(ds, planned=not {"model", *KEYWORDS} & set(changes))
     if changes.get("model", arguments["model"]) != arguments["model"]:
-        arguments = {name: arguments[name] for name in ("scene", "tolerance", "samples")}
+        kept = "scene", "tolerance", "samples", "allow_unstable"
+        arguments = {name: value for name, value in arguments.items() if name in kept}
     return simulate(**(arguments | changes))
 
 
