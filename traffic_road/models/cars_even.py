@@ -49,13 +49,13 @@ def even_samples(scene, times, order, first_node, left=None, *, nodes, hold, rel
 
     def leave():
         counts = {"taken": taken, "done": done, "pending": pending, "level": level}
-        return counts | {"road": road.copy(), "cars": cars.flat.copy()}
+        return counts | {"road": road.copy(), "cars": cars.flat.copy(), "contacts": cars.contacts.copy()}
 
     taken = done = 0
     pending = level = 0.0  # headways of relaxation that are due; what has been taken off all heights
     if left is not None:
         taken, done, pending, level = (left[k] for k in ("taken", "done", "pending", "level"))
-        road[:], cars.flat[:] = left["road"], left["cars"]
+        road[:], cars.flat[:], cars.contacts[:] = left["road"], left["cars"], left["contacts"]
     else:
         yield sample()
         taken = 1
@@ -104,41 +104,48 @@ class _Cars:
         self.law = passage(*self.passage, 0.0)
         self.newest = B[0, 0]
         self.lift_off, self.rows = scene.lift_off, rows
-        self.kernel = where_in.width, hold, kind, rows, parallel
+        self.kernel = where_in.width, hold, kind, rows, parallel, scene.lift_off
 
         height = scene.road.profile.sample(scene.road.length, node.size * rows)
         Z, P, past = start(scene, height, node, np.zeros(count, dtype=int), distinct, hold)
-        free = A[0, 0] * Z + A[0, 1] * P + past @ B[0, 1:]
+        f = self.factor * (A[0, 0] * Z + A[0, 1] * P + past @ B[0, 1:]) + self.offset
+        before = self.factor * (Z - self.newest * past[:, 0]) + self.offset
+        c, T, D, *e = self.coefficients
         fields = FIELDS + hold
         self.flat = on_huge_pages(self.layout.panels * self.layout.tiles * fields * self.layout.width)
         self.state = self.flat.reshape(-1, fields, self.layout.width)
+        self.contacts = np.zeros(self.layout.panels * self.layout.width, dtype=np.int64)  # less one for each
         self.where = slot, lane = slots(0, self.layout)  # of all cars, in the order of their places
         self.exponential = kind == EXPONENTIAL
-        scale = np.array([[free], [Z - self.newest * past[:, 0]]]) * self.factor + self.offset
-        self.state[slot, 1, lane], self.state[slot, 2, lane] = scale[:, 0]
-        self.state[slot, FIELDS:, lane] = past
+        for field, values in ((0, f), (-2, past[:, 0]), (-1, before)):
+            self.state[slot, field, lane] = values
+        for j in range(1, hold + 1):  # what passages behind add to those ahead
+            self.state[slot, j, lane] = c + past[:, : hold + 1 - j] @ e[j:]
+        self.state[slot, 1, lane] += D * before
 
     def read(self, done):
         """Z and the last contact height (cars,) of each car, and the number of passages without contact so far."""
         slot, lane = slots(done, self.layout)
-        signs, f, contact = (self.state[slot, n, lane] for n in (0, 2, FIELDS))
-        airborne = int(done * self.rows * signs.size + signs.sum()) // 2 if self.lift_off else 0
+        contact, f = self.state[slot, -2, lane], self.state[slot, -1, lane]
+        airborne = int(done * self.rows * slot.size + self.contacts.sum()) if self.lift_off else 0
         return (f - self.offset) / self.factor + self.newest * contact, contact, airborne
 
     def lower(self, level):
         """Takes `level` off all heights of the cars."""
-        self.state[:, 1:FIELDS] -= (
-            self.factor * (1.0 - self.newest) * level
-        )  # z* is Z less newest times a contact height
-        self.state[:, FIELDS:] -= level
+        _, _, D, *e = self.coefficients
+        sunk = self.factor * (1.0 - self.newest) * level  # z* is Z less newest times a contact height
+        self.state[:, [0, -1]] -= sunk
+        self.state[:, -2] -= level
+        for j in range(1, len(e)):
+            self.state[:, j] -= level * sum(e[j:])
+        self.state[:, 1] -= D * sunk
 
     def cross(self, road, done, headways):
         """All cars cross `headways` blocks, the first of them being headway `done`."""
-        slack = 0.0 if self.lift_off else np.inf
         slot, lane = self.where
         short = False
         if self.exponential:
-            cars = self.state[slot, FIELDS, lane], self.state[slot, 1, lane]
+            cars = self.state[slot, -2, lane], self.state[slot, 0, lane]
             self.law, short = passage_about(self.passage, *cars, headways * self.rows * slot.size)
         sweep = sweep_even(*self.kernel, short)
-        sweep(road, self.flat, self.layout, headways, done, self.coefficients, self.law, slack)
+        sweep(road, self.flat, self.contacts, self.layout, headways, done, self.coefficients, self.law)

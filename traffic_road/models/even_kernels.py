@@ -7,8 +7,13 @@ does z*, what Z would be at the next node but for the weight b of the contact he
 
 from Z' = T Z - D Z_-1 + sum_j g_j h'_-j, g_j = B0_j + A01 B1_(j-1) - A11 B0_(j-1), and Z = z* + b h: e_0 = T b + g_1,
 e_1 = g_2 - D b, e_j = g_(j+1). Constant softness, push = delta m/2: h = min(H, (H - push (1 - omega^2 z*)) s) with
-s = 1/(1 + push omega^2 (1 - b)). With f = s push (omega^2 z* - 1) in the place of z* that is h = min(H, s H + f): five
-multiply-adds a node for the linear hold, and P is never formed.
+s = 1/(1 + push omega^2 (1 - b)). With f = s push (omega^2 z* - 1) in the place of z* that is h = min(H, s H + f). What
+passages behind add to those ahead is kept as sums w_1.. (the transposed form of such a filter),
+
+    f' = T f + e_0 h + w_1,   w_1' = D f + e_1 h + w_2,   w_2' = e_2 h + w_3, ...,   the last with a constant,
+
+(D: less the determinant): five multiply-adds a node for the linear hold, with as few numbers of a car as can be, and P is
+never formed.
 
 Without exchange between lanes, many headways go through a tile before the next: those for which its cars come from the
 tiles before it (`wedge` True), and, when cars have been handed over at the lanes' ends, the rest (`wedge` False).
@@ -24,11 +29,11 @@ from ..compiled import njit
 from ..laws import CONSTANT, EXPONENTIAL
 from ..schemes.passage import contact_height
 from .even_layout import COMPILE, WIDTH, aligned, copy, hand_over, row_of
-from .even_passages import DEEPEST, met, met_bounded, met_exponential
+from .even_passages import DEEPEST, met, met_always, met_bounded, met_exponential
 from .stack import align_stack
 
 PAIRED = 4  # nodes that `_in_pairs` crosses at a time
-FIELDS = 3  # of a car, before its contact heights: signs, f, f_-1
+FIELDS = 3  # of a car: f, (as many sums w as `hold`,) the newest contact height, and f of the node that it belongs to
 
 
 def recursion(A, B):
@@ -62,74 +67,78 @@ def _beyond(road, at, rows, width, lanes, level, reach):
 
 
 @njit(**COMPILE)
-def _carefully(road, at, rows, width, lanes, state, car, hold, c, law, least):
+def _carefully(road, at, rows, width, lanes, state, car, counts, counted, hold, c, law, least):
     """Rows of a block crossed node by node and car by car, each passage by iteration, where the series will not do."""
-    heights = np.empty(hold + 1)
+    w = np.zeros(hold + 2)  # w_1.. from index 1 on, and the constant after the last
+    w[hold + 1] = c[0]
     for i in range(lanes):
         k = car + i
-        signs, f, f1 = state[k], state[k + width], state[k + 2 * width]
-        for q in range(hold):
-            heights[q + 1] = state[k + (FIELDS + q) * width]
+        f, contacts = state[k], counts[counted + i]
+        last, h = f, 0.0
+        for j in range(1, hold + 1):
+            w[j] = state[k + j * width]
         for r in range(rows):
             before = road[at + r * width + i]
             z_star = f / law[3]
-            heights[0] = contact_height(
-                before, z_star, law[1], law[2], law[3], EXPONENTIAL, law[4], law[5], least == 0.0
-            )
-            signs += 1.0 if 1.0 + law[3] * (before - z_star - law[1] * before) <= 0.0 else -1.0
-            road[at + r * width + i] = 2.0 * heights[0] - before
-            g = c[0] + c[1] * f + c[2] * f1
-            for q in range(hold + 1):
-                g += c[3 + q] * heights[q]
-            f, f1 = g, f
-            for q in range(hold, 0, -1):
-                heights[q] = heights[q - 1]
-        state[k], state[k + width], state[k + 2 * width] = signs, f, f1
-        for q in range(hold):
-            state[k + (FIELDS + q) * width] = heights[q + 1]
+            h = contact_height(before, z_star, law[1], law[2], law[3], EXPONENTIAL, law[4], law[5], least == 0.0)
+            contacts += 0 if 1.0 + law[3] * (before - z_star - law[1] * before) <= 0.0 else -1
+            road[at + r * width + i] = 2.0 * h - before
+            last, f, w[1] = f, c[3] * h + (c[1] * f + w[1]), c[4] * h + (c[2] * f + w[2])
+            for j in range(2, hold + 1):
+                w[j] = c[3 + j] * h + w[j + 1]
+        state[k], state[k + (hold + 1) * width], state[k + (hold + 2) * width] = f, h, last
+        counts[counted + i] = contacts
+        for j in range(1, hold + 1):
+            state[k + j * width] = w[j]
 
 
 @njit(**COMPILE)
-def _in_pairs(road, at, rows, state, car, c, s, slack):
+def _in_pairs(road, at, rows, state, car, counts, counted, c, s):
     """A block crossed by the cars of a full panel, two vectors of them side by side: linear hold, constant softness.
 
     Each node waits for the one before, and a processor looks ahead less far than over two vectors one after the other.
     """
     c0, T, D, e0, e1 = c[0], c[1], c[2], c[3], c[4]
     W1, W2, W3, half = uint64(WIDTH), uint64(2 * WIDTH), uint64(3 * WIDTH), uint64(WIDTH // 2)
+    p = uint64(counted)
+    q = p + half
     for r in range(0, rows, PAIRED):
         left, k = uint64(at + r * WIDTH), uint64(car)
         right, m = left + half, k + half
         for i in range(half):
-            a, f, f1, h0 = state[k + i], state[k + W1 + i], state[k + W2 + i], state[k + W3 + i]
-            b, g, g1, j0 = state[m + i], state[m + W1 + i], state[m + W2 + i], state[m + W3 + i]
+            a, f, v, h = counts[p + i], state[k + i], state[k + W1 + i], 0.0
+            b, g, w, j = counts[q + i], state[m + i], state[m + W1 + i], 0.0
+            f1, g1 = f, g
             for node in range(PAIRED):
                 x, y = left + uint64(node) * W1 + i, right + uint64(node) * W1 + i
-                h, road[x], of_left = met(road[x], f, s, slack)
-                j, road[y], of_right = met(road[y], g, s, slack)
+                h, road[x], of_left = met(road[x], f, s)
+                j, road[y], of_right = met(road[y], g, s)
                 a, b = a + of_left, b + of_right
-                f, f1, h0 = e0 * h + (T * f + (D * f1 + (e1 * h0 + c0))), f, h
-                g, g1, j0 = e0 * j + (T * g + (D * g1 + (e1 * j0 + c0))), g, j
-            state[k + i], state[k + W1 + i], state[k + W2 + i], state[k + W3 + i] = a, f, f1, h0
-            state[m + i], state[m + W1 + i], state[m + W2 + i], state[m + W3 + i] = b, g, g1, j0
+                f1, f, v = f, e0 * h + (T * f + v), e1 * h + (D * f + c0)
+                g1, g, w = g, e0 * j + (T * g + w), e1 * j + (D * g + c0)
+            counts[p + i], counts[q + i] = a, b
+            state[k + i], state[k + W1 + i], state[k + W2 + i], state[k + W3 + i] = f, v, h, f1
+            state[m + i], state[m + W1 + i], state[m + W2 + i], state[m + W3 + i] = g, w, j, g1
 
 
-def _make_sweep(width, hold, kind, unroll, parallel, short):
+def _make_sweep(width, hold, kind, unroll, parallel, lift_off, short):
     """The sweep for one width, one hold and one kind of law; `unroll` divides the rows. All are constants of the loop.
 
     Only numbers are closed over: with a compiled function among them the cache on disk would never be found again.
     """
-    W1, W2, W3, W4, W5, W6, W7 = (np.uint64(n * width) for n in range(1, 8))
-    paired = kind == CONSTANT and hold == 1 and width == WIDTH and unroll == PAIRED
+    W1, W2, W3, W4, W5 = (np.uint64(n * width) for n in range(1, 6))
+    newest, last = np.uint64((hold + 1) * width), np.uint64((hold + 2) * width)
+    paired = kind == CONSTANT and hold == 1 and width == WIDTH and unroll == PAIRED and lift_off
     size = np.uint64((FIELDS + hold) * width)
 
     @njit(parallel=parallel, **COMPILE)
-    def sweep(road, state, layout, count, first, c, law, slack):
+    def sweep(road, state, counts, layout, count, first, c, law):
         """All cars cross `count` headways, the first of them being headway `first`. A single one is all done at once.
 
-        road and state flat. c: constant, T, -D, e_0.. of the recursion; law: `passage`. slack: 0, infinite without lift-off.
+        road and state flat. counts (panels * width,): less one for each passage with contact. c: constant, T, -D, e_0.. of
+        the recursion; law: `passage`.
         """
-        _ = parallel, short  # read, since only what is read tells compiled loops on the disk apart
+        _ = parallel, short, lift_off  # read, since only what is read tells compiled loops on the disk apart
         tiles, rows = layout.tiles, layout.rows
         c0, T, D, e0, e1 = c[0], c[1], c[2], c[3], c[4]
         if hold > 1:
@@ -140,7 +149,7 @@ def _make_sweep(width, hold, kind, unroll, parallel, short):
         level, reach, strain, g2, slope = law[6], law[7], law[8], law[9], law[10]
         c3, d3, c4, d4, c5 = law[11], law[12], law[13], law[14], law[15]
         u = law[16], law[17], law[18], law[19], law[20], law[21], law[22], law[23], law[24], law[25], law[26]
-        least = -slack
+        least = 0.0 if lift_off else -np.inf
         spare = aligned((FIELDS + hold + 1) * width).reshape(FIELDS + hold + 1, width)
         deepest = min(DEEPEST, tiles)
         end_of_all = first + count
@@ -150,7 +159,9 @@ def _make_sweep(width, hold, kind, unroll, parallel, short):
             if headways > 1 or wedge:
                 for panel in prange(layout.panels):
                     align_stack()
-                    saved = aligned((unroll + FIELDS + hold) * width if kind == EXPONENTIAL else 0)
+                    saved = aligned((unroll + 1 + hold) * width if kind == EXPONENTIAL else 0)
+                    tallied = np.empty(width, dtype=np.int64)
+                    counted = panel * width
                     begin, end = (1, tiles) if wedge else (0, headways)
                     if headways == 1:
                         begin, end = 0, tiles
@@ -168,7 +179,17 @@ def _make_sweep(width, hold, kind, unroll, parallel, short):
                         for headway in range(low, high):
                             car = uint64(panel * tiles + (tile - headway - done) % tiles) * size
                             if paired and lanes == width:
-                                _in_pairs(road, row_of(panel, tile * rows, layout), rows, state, int(car), c, s, slack)
+                                _in_pairs(
+                                    road,
+                                    row_of(panel, tile * rows, layout),
+                                    rows,
+                                    state,
+                                    int(car),
+                                    counts,
+                                    counted,
+                                    c,
+                                    s,
+                                )
                                 continue
                             for r in range(0, rows, unroll):
                                 at = uint64(row_of(panel, tile * rows + r, layout))
@@ -178,55 +199,65 @@ def _make_sweep(width, hold, kind, unroll, parallel, short):
                                     if kind == EXPONENTIAL:
                                         for node in range(unroll):
                                             saved[uint64(node) * W1 + i] = road[at + uint64(node) * W1 + i]
-                                        for field in range(FIELDS + hold):
+                                        for field in range(1 + hold):
                                             saved[uint64(unroll + field) * W1 + i] = state[car + i + uint64(field) * W1]
-                                    k = car + i
-                                    a, f, f1, h0 = state[k], state[k + W1], state[k + W2], state[k + W3]
+                                        tallied[i] = counts[uint64(counted) + i]
+                                    k, tally = car + i, uint64(counted) + i
+                                    a, f, w1 = counts[tally], state[k], state[k + W1]
+                                    f1, h = f, 0.0
                                     if hold > 1:
-                                        h1, h2 = state[k + W4], state[k + W5]
+                                        w2, w3 = state[k + W2], state[k + W3]
                                     if hold > 3:
-                                        h3, h4 = state[k + W6], state[k + W7]
+                                        w4, w5 = state[k + W4], state[k + W5]
                                     for node in range(unroll):
                                         x = at + uint64(node) * W1 + i
                                         if kind == CONSTANT:
-                                            h, road[x], sign = met(road[x], f, s, slack)
+                                            if lift_off:
+                                                h, road[x], touched = met(road[x], f, s)
+                                            else:
+                                                h, road[x], touched = met_always(road[x], f, s)
                                         elif kind == EXPONENTIAL:
-                                            h, road[x], sign, square = met_exponential(
-                                                road[x], f, shape, least, level, g2, slope, c3, d3, c4, d4, c5, u, short
+                                            before = road[x]
+                                            sunk, touched, square = met_exponential(
+                                                before, f, shape, least, level, g2, slope, c3, d3, c4, d4, c5, u, short
                                             )
+                                            h = before + sunk
+                                            road[x] = h + sunk
                                             strained = square if square > strained else strained
                                         else:
-                                            h, road[x], sign = met_bounded(
+                                            h, road[x], touched = met_bounded(
                                                 road[x], f, b, omega2, half, value, shape, least
                                             )
-                                        a += sign
-                                        # the newest height last: the others are known while it is awaited
-                                        if hold == 1:
-                                            g = e0 * h + (T * f + (D * f1 + (e1 * h0 + c0)))
-                                        elif hold == 3:
-                                            g = e0 * h + (T * f + (D * f1 + (e1 * h0 + (e2 * h1 + (e3 * h2 + c0)))))
+                                        a += touched
+                                        if kind == EXPONENTIAL:  # the sum that all waits for is one shorter
+                                            f1, f = f, e0 * sunk + (e0 * before + (T * f + w1))
                                         else:
-                                            older = e3 * h2 + (e4 * h3 + (e5 * h4 + c0))
-                                            g = e0 * h + (T * f + (D * f1 + (e1 * h0 + (e2 * h1 + older))))
-                                        f, f1 = g, f
-                                        if hold > 3:
-                                            h3, h4 = h2, h3
-                                        if hold > 1:
-                                            h1, h2 = h0, h1
-                                        h0 = h
-                                    state[k], state[k + W1], state[k + W2], state[k + W3] = a, f, f1, h0
+                                            f1, f = f, e0 * h + (T * f + w1)
+                                        if hold == 1:
+                                            w1 = e1 * h + (D * f1 + c0)
+                                        else:
+                                            w1, w2 = e1 * h + (D * f1 + w2), e2 * h + w3
+                                        if hold == 3:
+                                            w3 = e3 * h + c0
+                                        if hold == 5:
+                                            w3, w4, w5 = e3 * h + w4, e4 * h + w5, e5 * h + c0
+                                    counts[tally], state[k], state[k + W1] = a, f, w1
+                                    state[k + newest], state[k + last] = h, f1
                                     if hold > 1:
-                                        state[k + W4], state[k + W5] = h1, h2
+                                        state[k + W2], state[k + W3] = w2, w3
                                     if hold > 3:
-                                        state[k + W6], state[k + W7] = h3, h4
+                                        state[k + W4], state[k + W5] = w4, w5
                                     if kind == EXPONENTIAL:
                                         poor += 1 if strained > strain else 0
                                 if kind == EXPONENTIAL and (beyond or poor > 0):
                                     for n in range(unroll):
                                         copy(road, at + uint64(n) * W1, saved, n * width, lanes)
-                                    for n in range(FIELDS + hold):
+                                    for n in range(1 + hold):
                                         copy(state, car + uint64(n) * W1, saved, (unroll + n) * width, lanes)
-                                    _carefully(road, at, unroll, width, lanes, state, int(car), hold, c, law, least)
+                                    copy(counts, counted, tallied, 0, lanes)
+                                    _carefully(
+                                        road, at, unroll, width, lanes, state, int(car), counts, counted, hold, c, law, least
+                                    )  # fmt: skip
                                     beyond = _beyond(road, start, rows, width, lanes, level, reach)
             if wedge:
                 hand_over(state, done + 1, done + headways, layout, spare)
@@ -239,10 +270,10 @@ def _make_sweep(width, hold, kind, unroll, parallel, short):
 _sweeps: dict = {}
 
 
-def sweep_even(width: int, hold: int, kind: int, rows: int, parallel: bool = False, short: bool = False):
+def sweep_even(width: int, hold: int, kind: int, rows: int, parallel=False, lift_off=True, short=False):
     """The compiled sweep for this width, hold (1, 3, 5), kind of law and rows; `short` as in `even_passages`."""
     unroll = next(u for u in (4, 3, 2, 1) if rows % u == 0)
-    key = width, hold, kind, unroll, parallel, short
+    key = width, hold, kind, unroll, parallel, lift_off, short
     if key not in _sweeps:
         _sweeps[key] = _make_sweep(*key)
     return _sweeps[key]

@@ -95,13 +95,20 @@ def _about(level, most, shape, g2, series):
 
 
 @njit(**COMPILE)
-def met(H, f, s, slack):
-    """Contact height, height after and -1 for a passage with contact, 1 without: constant softness."""
+def met(H, f, s):
+    """Contact height, height after, and -1 for a passage with contact, 0 without: constant softness."""
     pressed = s * H + f
-    ceiling = H + slack
-    h = ceiling if ceiling < pressed else pressed  # in this order a NaN is kept
+    h = H if pressed > H else pressed  # in this order a NaN is kept
     change = h - H
-    return h, h + change, math.copysign(1.0, change)
+    # the sign bit, by a shift, for want of a comparison that is as cheap on every processor
+    return h, h + change, np.float64(change).view(np.int64) >> 63
+
+
+@njit(**COMPILE)
+def met_always(H, f, s):
+    """The same without lift-off."""
+    h = s * H + f
+    return h, 2.0 * h - H, -1
 
 
 @njit(**COMPILE)
@@ -114,12 +121,12 @@ def met_bounded(H, z_star, b, omega2, half, value, shape, least):
     p = 0.0 if p < 0.0 else p
     q = 1.0 + p * slope + gain * w
     x = -2.0 * p * w / (q + math.sqrt(q * q - 4.0 * gain * slope * p * w))
-    return H + x, H + 2.0 * x, 1.0 if weight <= 0.0 else -1.0
+    return H + x, H + 2.0 * x, -1 if weight > 0.0 else 0
 
 
 @njit(**COMPILE)
 def met_exponential(H, f, shape, least, level, g2, slope, c3, d3, c4, d4, c5, u, short):
-    """The same for alpha = value exp(shape h), and x_0^2, to tell whether it is right; f = omega^2 z*.
+    """x = h - H for alpha = value exp(shape h), -1 or 0 as above, and x_0^2, to tell whether it is right; f = omega^2 z*.
 
     With E = half alpha(H), w the force at H: x (g_2 + exp(-shape x)/E) = -w, g_2 = omega^2 (1 - b). With k = 1/(1 + E g_2),
     x_0 = -E k w and t = shape x_0, x = x_0 (1 + k t (1 + t (2 k - 1/2 + t (5 k^2 - 5 k/2 + 1/6 + t (c_4 + c_5 t))))). The
@@ -142,8 +149,7 @@ def met_exponential(H, f, shape, least, level, g2, slope, c3, d3, c4, d4, c5, u,
     w = least if weight < least else weight
     x0 = per_weight * w
     square = x0 * x0
-    further = 0.0 if short else x0 * ((c4 + d4 * k) + c5 * x0)
-    q = (2.0 * k - 0.5 * shape) + x0 * ((c3 + d3 * k) + further)
+    cubed = c3 + d3 * k if short else (c3 + d3 * k) + x0 * ((c4 + d4 * k) + c5 * x0)
+    q = (2.0 * k - 0.5 * shape) + x0 * cubed
     x = x0 + (x0 * k) * (x0 + square * q)
-    h = H + x
-    return h, h + x, -math.copysign(1.0, weight), square
+    return x, -1 if weight > 0.0 else 0, square
