@@ -3,11 +3,8 @@
 import numpy as np
 import pytest
 
-from traffic_road.laws import Constant
 from traffic_road.models.lanes import LANES
 from traffic_road.models.mixed_kernels import ROWS, _copy_nodes
-from traffic_road.models.mixed_relaxation import LEAST, MixedRelaxation
-from traffic_road.schemes.relaxation import TAIL, relax_transform, symbol
 
 GUARD = 512
 
@@ -54,21 +51,3 @@ def test_nodes_go_into_the_table_and_back(nodes, count):
                 reached[(int(start[n]) + np.arange(first, min(first + ROWS, int(length[n])))) % nodes] = True
             np.testing.assert_array_equal(road, np.where(reached, wanted + 0.5, -2.0))
             assert untouched(road, all_of_it) and untouched(table, all_rows)
-
-
-@pytest.mark.parametrize("nodes", [LEAST, LEAST + 1, LEAST + 7, LEAST + 31, LEAST + 32, 3001, 5000])
-@pytest.mark.parametrize("spread", [2.5, 10.7, 60.0])
-def test_bands_side_by_side_are_the_transform(nodes, spread):
-    height = np.random.default_rng(nodes).standard_normal(nodes)
-    relax = MixedRelaxation(Constant(spread), float(nodes), nodes)
-    relax.lanes, all_lanes = guarded(relax.lanes)
-    relax.lanes[:] = np.nan  # what is read and was not filled is seen
-    road, all_of_it = guarded(height)
-    relax(road, 1.0)
-    assert relax.bands[1.0] is not None  # not as a line
-    wanted = relax_transform(height, symbol(spread, float(nodes), nodes))
-    np.testing.assert_allclose(road, wanted, rtol=0, atol=2 * TAIL * np.abs(height).max())  # as `band` promises
-    assert untouched(road, all_of_it) and untouched(relax.lanes, all_lanes)
-    level, _ = guarded(np.ones(nodes))
-    relax(level, 1.0)
-    np.testing.assert_allclose(level, 1.0, rtol=0, atol=2e-15)

@@ -9,9 +9,9 @@ from heap import heap_cars
 import traffic_road as tr
 from traffic_road.models import Sample, mixed_order
 from traffic_road.models.cars_mixed import mixed_samples
-from traffic_road.models.line_relaxation import LineRelaxation
+from traffic_road.models.line_relaxation import LEAST, LineRelaxation, relax_by_levels
 from traffic_road.schemes.oscillator import settled, settled_at
-from traffic_road.schemes.relaxation import relax_transform, symbol
+from traffic_road.schemes.relaxation import ALIASED, TAIL, relax_transform, symbol
 
 
 def fleet(count, seed, *, speed=1.0, position=None):
@@ -117,14 +117,19 @@ def test_units_of_one_level_touch_no_common_node():
         assert levels == sorted(set(levels))
 
 
-@pytest.mark.parametrize("nodes", [64, 5000])
-def test_band_in_a_line_is_the_transform(nodes):
-    length, interval = 10.0, 40.0 * (10.0 / nodes) ** 2
-    road = np.random.default_rng(1).standard_normal(nodes)
-    relaxed = road.copy()
-    LineRelaxation(tr.Constant(1.0), length)(relaxed, interval)
-    np.testing.assert_allclose(relaxed, relax_transform(road, symbol(interval, length, nodes)), atol=1e-9)
-    assert abs(relaxed.mean() - road.mean()) < 1e-15 and np.ptp(relaxed) < 0.5 * np.ptp(road)
+@pytest.mark.parametrize("nodes", [64, LEAST - 1, LEAST, LEAST + 1, 2 * LEAST - 3, 10_001])
+@pytest.mark.parametrize("spread", [2.5, ALIASED - 0.01, ALIASED + 0.01, 60.0, 2000.0])
+def test_a_line_relaxes_as_by_the_transform(nodes, spread):
+    relax = LineRelaxation(tr.Constant(1.0), 10.0)
+    interval = spread * (10.0 / nodes) ** 2
+    road = np.random.default_rng(nodes).standard_normal(nodes)
+    relaxed, level = road.copy(), np.ones(nodes)
+    relax(relaxed, interval)
+    relax(level, interval)
+    assert (relax.ways[interval][0] is relax_by_levels) == (nodes >= LEAST and spread > ALIASED)
+    wanted = relax_transform(road, symbol(interval, 10.0, nodes))
+    np.testing.assert_allclose(relaxed, wanted, rtol=0, atol=3 * TAIL * np.abs(road).max())
+    np.testing.assert_allclose(level, 1.0, rtol=0, atol=2e-15)
 
 
 @pytest.mark.parametrize("nodes", [64, 65])

@@ -9,9 +9,9 @@ from . import Breath, Pace, Sample
 from .cars_state import force, kinds, level_of, node_behind, sink_rate, start
 from .even_layout import aligned
 from .lanes import LANES
+from .line_relaxation import LineRelaxation
 from .mixed_kernels import RECORD, coefficients, cross_until, workspace
 from .mixed_order import LENGTH, LEVEL, plan
-from .mixed_relaxation import MixedRelaxation
 
 AT_A_TIME = 1_000_000  # passages of a run without relaxation between two moments at which it may be left
 STRETCHES = (8, 4, 2, 1, 1 / 2, 1 / 4, 1 / 8)  # mean headway times that units may last
@@ -56,10 +56,10 @@ def mixed_samples(scene, times, left=None, *, nodes, hold, relax_every):
     work = workspace()
     # a crossing on the very edge of an interval belongs to it, whatever its rounding
     slack = 1e-9 * step.min()
-    relax = MixedRelaxation(scene.road.diffusivity, length, nodes)
+    relax = LineRelaxation(scene.road.diffusivity, length)
     stretch = _stretch(scene.headway_time, nodes, cars, plans)  # of the start: the same wherever a run goes on from
     # without relaxation an interval is only what is done at a time
-    interval = scene.headway_time * (max(1, AT_A_TIME // nodes) if relax.line.still else relax_every)
+    interval = scene.headway_time * (max(1, AT_A_TIME // nodes) if relax.still else relax_every)
 
     arrays = {"road": road, "body": body, "order": order, "place": place, "crossed": crossed}
 

@@ -1,12 +1,11 @@
-"""Stretches of a line side by side, in a table of LANES columns: eight by eight numbers are turned, and a band summed, in
-registers, which no loop is compiled to. Indices are unsigned, and not checked.
+"""Stretches of a line side by side, in a table of LANES columns: eight by eight numbers are turned in registers, which no
+loop is compiled to. Indices are unsigned, and not checked.
 """
 
 from __future__ import annotations
 
 from llvmlite import ir
 from numba import types
-from numba.core import cgutils
 from numba.extending import intrinsic
 
 LANES = 32
@@ -60,40 +59,3 @@ def copy_in(context, table, at, line, s0, s1, s2, s3, s4, s5, s6, s7):
 def copy_out(context, table, at, line, s0, s1, s2, s3, s4, s5, s6, s7):
     """The other way round."""
     return types.void(table, at, line, s0, s1, s2, s3, s4, s5, s6, s7), _copy(False)
-
-
-@intrinsic
-def smooth_out(context, line, s0, s1, s2, s3, s4, s5, s6, s7, table, at, weights):
-    """line[s_n + r] <- the symmetric band `weights` (1 + 4 pairs) of column n of the table about at + r LANES + n."""
-
-    def generate(context, builder, signature, given):
-        line, *starts, table, at, weights = given
-        size = context.make_array(signature.args[-1])(context, builder, weights)
-        many = cgutils.unpack_tuple(builder, size.shape, 1)[0]
-
-        def row(first, n):
-            index = builder.add(first, ir.Constant(at.type, n * LANES))
-            return builder.load(_address(context, builder, signature.args[9], table, index), align=8)
-
-        def weight(t):
-            alone = builder.insert_element(EIGHT(ir.Undefined), builder.load(builder.gep(size.data, [t])), INT(0))
-            return builder.shuffle_vector(alone, EIGHT(ir.Undefined), ir.Constant(ir.VectorType(INT, 8), [0] * 8))
-
-        sums = [cgutils.alloca_once(builder, EIGHT) for _ in range(8)]
-        centre = weight(at.type(0))
-        for n, total in enumerate(sums):
-            builder.store(builder.fmul(centre, row(at, n)), total)
-        with cgutils.for_range_slice(builder, at.type(1), many, at.type(4), at.type) as (t, _):
-            apart = builder.mul(t, at.type(LANES))
-            low = [row(builder.sub(at, apart), n - 3) for n in range(11)]
-            high = [row(builder.add(at, apart), n) for n in range(11)]
-            for q in range(4):
-                w = weight(builder.add(t, at.type(q)))
-                for n, total in enumerate(sums):
-                    pair = builder.fmul(w, builder.fadd(low[n + 3 - q], high[n + q]), flags=("contract",))
-                    builder.store(builder.fadd(pair, builder.load(total), flags=("contract",)), total)
-        for values, start in zip(_turned(builder, [builder.load(total) for total in sums]), starts, strict=True):
-            builder.store(values, _address(context, builder, signature.args[0], line, start), align=8)
-        return context.get_dummy_value()
-
-    return types.void(line, s0, s1, s2, s3, s4, s5, s6, s7, table, at, weights), generate
