@@ -14,7 +14,8 @@ from .models import linear
 from .models.continuum_state import FEW_NODES, FEW_NODES_VARYING, Kinds, constant
 from .models.even_layout import MANY, layout
 from .models.even_ripple import halvings
-from .schemes.relaxation import SHORT_RING
+from .models.line_relaxation import LEAST
+from .schemes.relaxation import ALIASED, SHORT_RING
 
 FIXED = {"linear": 0.7e-3, "continuum": 0.06e-3, "cars": 0.6e-3}  # of any run: scene to samples
 CALL = 4e-6  # of a compiled sweep of one headway
@@ -27,7 +28,11 @@ ANY_CALL, ANY_CAR, ANY_ORDER = 10e-6, 0.15e-6, 3e-9  # any fleet but an even one
 # a node relaxed, constant diffusivity: by way of all waves, or by weights nearby; these along lanes, few of them, in a line
 TRANSFORM, BAND, NARROW_BAND, LINE_BAND = 15e-9, 1.6e-9, 6e-9, 3e-9
 RIPPLES = 6e-9  # of a large even fleet's long road, where there are no such weights for little smoothing
-SPREAD, LINE_SPREAD = 2.4, 164.0  # diffusivity times the interval over dx^2 between which there are such weights
+SPREAD, LINE_SPREAD = (
+    2.4,
+    164.0,
+)  # diffusivity times the interval over dx^2 between which there are such weights; beyond, on a
+# line of many nodes, by levels
 REACH = 17.0  # of the weights along lanes in nodes, over the root of that: below a lane's length
 # a step of the continuum; its waves two by two, or transformed
 STEP, WAVES, CONTACT, STEP_LAW, WAVES_LAW, WAVES_TRANSFORM = 3e-6, 2.5e-9, 5e-8, 20e-6, 16e-9, 1.0e-6
@@ -78,7 +83,9 @@ def of_cars(scene, numerics: dict, even: bool) -> float:
         relax = CALL_LAW + nodes * RELAX_LAW * (1 + np.sqrt(2 * reach))
     elif delta > 0:
         spread, count, short = delta * interval * (nodes / road.length) ** 2, scene.fleet.count, nodes <= SHORT_RING
-        band, most, transform = LINE_BAND, LINE_SPREAD, nodes * PAIR if short else TRANSFORM
+        by_levels = nodes >= LEAST and spread >= ALIASED
+        transform = nodes * PAIR if short else LINE_BAND if by_levels else TRANSFORM
+        band, most = LINE_BAND, LINE_SPREAD
         if even and not short:
             lanes = layout(count, nodes // count)
             band, most = BAND if count >= MANY else NARROW_BAND, ((lanes.tiles - 1) * lanes.rows / REACH) ** 2

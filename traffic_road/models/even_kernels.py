@@ -151,6 +151,9 @@ def _make_sweep(width, hold, kind, unroll, parallel, lift_off, short):
         u = law[16], law[17], law[18], law[19], law[20], law[21], law[22], law[23], law[24], law[25], law[26]
         least = 0.0 if lift_off else -np.inf
         spare = aligned((FIELDS + hold + 1) * width).reshape(FIELDS + hold + 1, width)
+        # what an exponential law may have to go back to; of all panels at once: to ask for room takes as long as some rows
+        room = (unroll + 1 + hold) * width if kind == EXPONENTIAL else 0
+        saved, tallied = aligned(layout.panels * room), np.empty(layout.panels * width, dtype=np.int64)
         deepest = min(DEEPEST, tiles)
         end_of_all = first + count
         for part in range(2 * ((count + deepest - 1) // deepest)):
@@ -159,9 +162,7 @@ def _make_sweep(width, hold, kind, unroll, parallel, lift_off, short):
             if headways > 1 or wedge:
                 for panel in prange(layout.panels):
                     align_stack()
-                    saved = aligned((unroll + 1 + hold) * width if kind == EXPONENTIAL else 0)
-                    tallied = np.empty(width, dtype=np.int64)
-                    counted = panel * width
+                    counted, kept = panel * width, panel * room
                     begin, end = (1, tiles) if wedge else (0, headways)
                     if headways == 1:
                         begin, end = 0, tiles
@@ -198,10 +199,14 @@ def _make_sweep(width, hold, kind, unroll, parallel, lift_off, short):
                                     strained = 0.0
                                     if kind == EXPONENTIAL:
                                         for node in range(unroll):
-                                            saved[uint64(node) * W1 + i] = road[at + uint64(node) * W1 + i]
+                                            saved[uint64(kept) + uint64(node) * W1 + i] = road[
+                                                at + uint64(node) * W1 + i
+                                            ]
                                         for field in range(1 + hold):
-                                            saved[uint64(unroll + field) * W1 + i] = state[car + i + uint64(field) * W1]
-                                        tallied[i] = counts[uint64(counted) + i]
+                                            saved[uint64(kept) + uint64(unroll + field) * W1 + i] = state[
+                                                car + i + uint64(field) * W1
+                                            ]
+                                        tallied[uint64(counted) + i] = counts[uint64(counted) + i]
                                     k, tally = car + i, uint64(counted) + i
                                     a, f, w1 = counts[tally], state[k], state[k + W1]
                                     f1, h = f, 0.0
@@ -251,10 +256,10 @@ def _make_sweep(width, hold, kind, unroll, parallel, lift_off, short):
                                         poor += 1 if strained > strain else 0
                                 if kind == EXPONENTIAL and (beyond or poor > 0):
                                     for n in range(unroll):
-                                        copy(road, at + uint64(n) * W1, saved, n * width, lanes)
+                                        copy(road, at + uint64(n) * W1, saved, kept + n * width, lanes)
                                     for n in range(1 + hold):
-                                        copy(state, car + uint64(n) * W1, saved, (unroll + n) * width, lanes)
-                                    copy(counts, counted, tallied, 0, lanes)
+                                        copy(state, car + uint64(n) * W1, saved, kept + (unroll + n) * width, lanes)
+                                    copy(counts, counted, tallied, counted, lanes)
                                     _carefully(
                                         road, at, unroll, width, lanes, state, int(car), counts, counted, hold, c, law, least
                                     )  # fmt: skip
