@@ -93,6 +93,26 @@ def test_a_grid_too_coarse_for_the_waves_that_bouncing_cars_make_tells_so():
         assert error > 1e-4 and error <= ds.error_estimate <= 30 * error
 
 
+@pytest.mark.parametrize(
+    ("softness", "damping", "amplitude", "k", "waves", "duration", "nodes"),
+    [
+        (0.06, 0.28, 1.5, 2.24, 8, 330.0, 200),  # bounces at first
+        (tr.Exponential(0.071, 0.01), 0.15, 0.5, 2.0, 4, 186.0, 110),
+    ],
+)
+def test_waves_grown_from_rounding_are_part_of_the_estimate(softness, damping, amplitude, k, waves, duration, nodes):
+    # the profile's wave decays, longer ones that it has not grow; a second run begins with much the same rounding
+    def run(periods, **given):
+        road = tr.Road(2 * np.pi / k * periods, softness, 0.001, tr.Sine(amplitude, k))
+        case = tr.Scene(road, tr.Fleet(8 * periods, damping), duration)
+        return tr.simulate(case, "continuum", samples=2, tolerance=10.0, **given)
+
+    ds = run(waves, nodes=nodes)
+    alone = np.tile(run(1, nodes=64).road_height.values[-1], waves)  # on a ring of its own there are no longer ones
+    error = corrugation_difference(ds.road_height.values[-1], alone)
+    assert error <= ds.error_estimate <= 10 * error
+
+
 def test_given_times_say_how_long_a_run_is_to_its_limits_too():
     # cars stay on the road for a time of 1, but not of 5000
     case = scene(amplitude=0.1, softness=0.004, duration=1.0)

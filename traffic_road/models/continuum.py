@@ -36,7 +36,7 @@ from ..laws import finite
 from ..memory import refuse_beyond_memory
 from ..schemes.exponential import SAFE, step_limit
 from . import Breath, Pace, Sample
-from .continuum_state import Continuum, Kinds, constant, linear_throughout, modes, present, start
+from .continuum_state import Continuum, Kinds, base_wave, constant, linear_throughout, modes, present, start
 
 KEYWORDS = ("nodes", "step")
 RESOLVED = 0.625  # of `resolving`: a grid with room for that wave, and a quarter more
@@ -142,9 +142,10 @@ def coarser(scene, numerics: dict) -> dict | None:
     both hold as many harmonics of its waves, all of which are multiples of one.
     The step may be beyond `longest_step`: half of it is as wrong as that run tells, where a finer one would say too little.
     """
-    (waves,) = present(start(scene, numerics["nodes"]).spectrum).nonzero()
+    spectrum = start(scene, numerics["nodes"]).spectrum
+    (waves,) = present(spectrum).nonzero()
     nodes = max(numerics["nodes"] // 2, 2 * int(waves.max(initial=0)) + 1)
-    base = max(1, int(np.gcd.reduce(waves)))
+    base = base_wave(spectrum)
     blind = (modes(nodes) - 1) // base == (modes(numerics["nodes"]) - 1) // base
     if blind or numerics["nodes"] < RESOLVED * resolving(scene) or nodes > HALF * numerics["nodes"]:
         return None
