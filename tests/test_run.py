@@ -158,6 +158,48 @@ def test_error_estimate_sees_a_relaxation_as_long_as_the_run(headways, every):
     assert error <= ds.error_estimate <= 3 * error
 
 
+@pytest.mark.parametrize(
+    ("count", "k", "damping", "law", "diffusivity", "amplitude", "every", "intervals", "where"),
+    [
+        (16, 1.53, 0.34, 0.005, 0.01, 2.0, 36, 40, None),  # bounces, and waves decay within an interval
+        (17, 1.43, 0.36, tr.Exponential(0.007, 0.3), 0.002, 0.05, 35, 3, None),
+        (
+            18,
+            1.26,
+            0.07,
+            0.003,
+            0.002,
+            0.2,
+            27,
+            2,
+            None,
+        ),  # linear, but for no longer than waves need to take their shape
+        (6, 0.9, 0.1, tr.Exponential(0.01, 0.3), 0.002, 0.3, 12, 3, (0, 1, 1.3, 3, 4, 6)),
+    ],
+)
+def test_error_estimate_of_relaxation_too_seldom_for_any_order_is_true(
+    count, k, damping, law, diffusivity, amplitude, every, intervals, where
+):
+    road = tr.Road(2 * np.pi / k, law, diffusivity, tr.Sine(amplitude, k))
+    case = tr.Scene(road, tr.Fleet(count, damping, position=where), intervals * every * road.length / count)
+    ds, reference = (
+        tr.simulate(case, "cars", samples=2, nodes=n * count, hold=h, relax_every=e)
+        for n, h, e in ((32, 3, every), (64, 5, 1))
+    )
+    assert reference.time[-1] == pytest.approx(float(ds.time[-1]))
+    error = corrugation_difference(ds.road_height.values[-1], reference.road_height.values[-1])
+    assert error <= ds.error_estimate <= 3 * error
+
+
+def test_a_road_that_is_flat_for_its_numerics_alone_says_so():
+    # each interval's relaxation and the bouncing between take more of the wave than both at once
+    road = tr.Road(2 * np.pi / 1.59, 0.003, 0.03, tr.Sine(1.0, 1.59))
+    case = tr.Scene(road, tr.Fleet(18, 0.34), 71 * 44 * road.length / 18)
+    ds = tr.simulate(case, "cars", samples=2, nodes=288, relax_every=44)
+    assert np.ptp(ds.road_height.values[-1]) < 1e-12 and ds.error_estimate > 1
+    assert np.ptp(tr.simulate(case, "cars", samples=2, nodes=288).road_height.values[-1]) > 1e-9
+
+
 @pytest.mark.parametrize("duration", [128.3, 161.0, 200.0])
 @pytest.mark.parametrize("nodes", [192, 384, 768])
 def test_error_estimate_of_evenly_spaced_cars_of_many_kinds_is_true(nodes, duration):
