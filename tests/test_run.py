@@ -80,6 +80,20 @@ def test_error_estimate_of_the_continuum_is_true(case, given):
     assert error <= ds.error_estimate <= 30 * error  # order 4 makes a factor of 15 out of the pair's 3
 
 
+@pytest.mark.parametrize(
+    ("k", "damping", "softness", "amplitude", "duration", "step"),
+    [(1.29, 0.26, 0.008, 6.0, 396.0, 18.0), (0.77, 0.2, 0.004, 1.5, 155.0, 22.2)],
+)
+def test_error_estimate_of_steps_in_which_cars_take_off_and_land_is_true(
+    k, damping, softness, amplitude, duration, step
+):
+    case = tr.Scene(tr.Road(2 * np.pi / k, softness, 0.01, tr.Sine(amplitude, k)), tr.Fleet(1, damping), duration)
+    ds = tr.simulate(case, "continuum", samples=2, nodes=64, step=step)
+    *_, reference = continuum.samples(case, np.array([0.0, duration]), {"nodes": 128, "step": 0.5})
+    error = corrugation_difference(ds.road_height.values[-1], reference.road_height)
+    assert error <= ds.error_estimate <= 3 * error
+
+
 def test_a_grid_too_coarse_for_the_waves_that_bouncing_cars_make_tells_so():
     # at frequency 10 cars answer to waves of 0.63, 11 on the ring; on 16 and 27 nodes a pair of runs sees too little of them
     case = scene(amplitude=1.5, duration=60.0, frequency=10.0)
@@ -136,7 +150,7 @@ def test_the_step_of_the_continuum_is_that_taken_from_sample_to_sample():
 @pytest.mark.parametrize("every", [10, 30])
 @pytest.mark.parametrize("nodes", [768, 784])
 def test_error_estimate_of_seldom_relaxation_is_true_on_fine_grids(nodes, every):
-    # up to 96 nodes a headway by a finer matrix; beyond, by coarser ones, of which one must relax every headway
+    # whatever the number of nodes a headway: beyond 96 the estimate of a linear run is made in another way
     ds = tr.simulate(scene(), "cars", samples=2, nodes=nodes, hold=3, relax_every=every)
     end = float(ds.time[-1])
     reference = tr.simulate(replace(scene(), duration=end), "cars", samples=2, nodes=784, hold=5)

@@ -3,9 +3,10 @@
 In the L2 norm over the road, mean removed, relative. Where the run is linear (identical evenly spaced cars, constant
 laws, no passage without contact) it is the sum of two parts, each known apart from the other: waves, whose growth rates
 and shapes the Floquet matrix tells for the scheme and for a far finer one; and the ripple that passages leave on a uniform
-road, which one car on a ring of one headway shows. Elsewhere a second run of all at half the resolution tells; of cars
-between which the road relaxes less often than every headway, one at half the nodes that relaxes every headway. How its error
-falls with the interval is not asked: in few intervals, or where waves decay in one, it follows no order.
+road, which one car on a ring of one headway shows. Elsewhere a second run of all at half the resolution tells.
+
+Cars between which the road relaxes less often than every headway are compared with those of half the nodes and every headway:
+in few intervals, or where waves decay within one, errors follow no order.
 """
 
 from __future__ import annotations
@@ -43,8 +44,10 @@ def error_estimate(scene, name: str, numerics: dict, last: Sample, pair_ratio=No
     """
     module = model(name)
     size = last.road_height.std()
-    seldom = name == "cars" and numerics["relax_every"] > 1 and _relaxes(scene)
-    if name == "cars" and not seldom and _is_linear(scene, numerics, last):
+    often = numerics
+    if name == "cars" and numerics["relax_every"] > 1 and _relaxes(scene):
+        often = {**numerics, "relax_every": 1}
+    if name == "cars" and often == numerics and _is_linear(scene, numerics, last):
         other = _compared(scene.fleet.count, numerics)
         error = np.hypot(_of_waves(scene, numerics, other, last), _of_ripple(scene, numerics, other, last))
         method = "growth rates and ripple, of the scheme and of a finer one"
@@ -54,9 +57,9 @@ def error_estimate(scene, name: str, numerics: dict, last: Sample, pair_ratio=No
     else:
         # half the resolution costs half a run or less; where that is too little to run, or to tell, twice or more
         quick = name == "linear" and numerics["nodes"] <= FINE_ROWS // 2 * scene.fleet.count
-        compared = {**numerics, "relax_every": 1} if seldom and not pair_ratio else numerics
-        coarse = None if quick else module.coarser(scene, compared)
-        other = coarse or module.numerics(scene, module.finer(scene, compared, {}))
+        often = numerics if pair_ratio else often
+        coarse = None if quick else module.coarser(scene, often)
+        other = coarse or module.numerics(scene, module.finer(scene, often, {}))
         if other == numerics:
             error, method = 0.0, "none: the linear mean field is exact on any grid"
         else:
@@ -65,14 +68,12 @@ def error_estimate(scene, name: str, numerics: dict, last: Sample, pair_ratio=No
                 ratio = 0.3 if steps_stay(scene, numerics["nodes"]) else 0.6
             elif coarse and not pair_ratio and steps_stay(scene, numerics["nodes"]):
                 ratio = STEPS_STAY.get(name, ratio)
-            elif coarse and compared != numerics:
+            elif coarse and often != numerics:
                 ratio = SELDOM
             *_, second = module.samples(scene, np.array([0.0, last.time]), other)
             error = _distance(last.road_height, second.road_height) / ratio
-            method = f"a second run at {times} the resolution" + ", relaxed every headway" * (compared != numerics)
-            if (
-                name == "continuum"
-            ):  # both begin with the same rounding, and may differ by less than what it has grown to
+            method = f"a second run at {times} the resolution" + ", relaxed every headway" * (often != numerics)
+            if name == "continuum":  # a pair begins with the same rounding, and differs by less than that has grown to
                 error = math.hypot(error, grown_from_rounding(scene, last.road_height))
     high, low = float(last.road_height.max()), float(last.road_height.min())
     reach = depth = max(high, -low)
