@@ -23,6 +23,28 @@ def test_error_estimate_of_steps_in_which_cars_take_off_and_land_is_true(
 
 
 @pytest.mark.parametrize(
+    ("k", "damping", "softness", "diffusivity", "amplitude", "duration", "nodes", "step"),
+    [
+        (1.94, 0.07, tr.Exponential(0.036, 0.2), 0.002, 0.9, 295.0, 64, 1.0),
+        (2.12, 0.29, 0.008, 0.01, 0.9, 239.0, 16, 0.5),
+        (2.2, 0.1, 0.02, 0.002, 1.0, 120.0, 64, 0.5),
+        (2.88, 0.18, 0.061, 0.0, 0.9, 130.0, 32, 0.5),  # kinks that nothing smooths
+    ],
+)
+def test_error_estimate_where_cars_fly_briefly_is_true(
+    k, damping, softness, diffusivity, amplitude, duration, nodes, step
+):
+    # steps twice as long may be right by chance
+    case = tr.Scene(
+        tr.Road(2 * np.pi / k, softness, diffusivity, tr.Sine(amplitude, k)), tr.Fleet(1, damping), duration
+    )
+    ds = tr.simulate(case, "continuum", samples=2, nodes=nodes, step=step)
+    *_, reference = continuum.samples(case, np.array([0.0, duration]), {"nodes": 128, "step": step / 4})
+    error = corrugation_difference(ds.road_height.values[-1], reference.road_height)
+    assert error <= ds.error_estimate <= 10 * error
+
+
+@pytest.mark.parametrize(
     ("softness", "damping", "amplitude", "k", "waves", "duration", "nodes"),
     [
         (0.06, 0.28, 1.5, 2.24, 8, 330.0, 200),  # bounces at first
