@@ -344,6 +344,26 @@ def test_floquet_matrices_keep_the_uniform_road():
     np.testing.assert_allclose(relaxed, 1.0, atol=1e-14)
 
 
+@pytest.mark.parametrize("headways", [0.2, 1.0, 3.4, 3.6, 10.0])
+def test_a_relaxation_interval_longer_than_the_run_is_refused(headways):
+    # an even fleet is sampled after whole intervals: the run would be lengthened to one
+    case = scene()
+    case = replace(case, duration=headways * case.headway_time)
+    longest = max(1, round(headways))
+    ds = tr.simulate(case, "cars", samples=2, nodes=64, relax_every=longest)
+    assert ds.time[-1] == pytest.approx(longest * case.headway_time)
+    for numerics in ({}, {"allow_unstable": True}, {"model": "auto"}):
+        with pytest.raises(tr.SceneError, match=rf"relax_every = {longest + 1}: .*; use relax_every <= {longest} or"):
+            tr.simulate(case, **{"model": "cars", "nodes": 64, "relax_every": longest + 1, **numerics})
+    # times say how long the run is; cars between nodes are sampled at any time
+    for other, times, nodes in (case, [0.0, (longest + 1) * case.headway_time], 64), (case, 2, 60):
+        ds = tr.simulate(other, "cars", samples=times, nodes=nodes, relax_every=longest + 1)
+        assert abs(ds.time[-1] - (case.duration if times == 2 else times[-1])) <= (longest + 1) / 2 * case.headway_time
+    # nothing chooses such an interval by itself
+    assert tr.plan(case, 1e-1).numerics.get("relax_every", 1) <= longest
+    tr.theory.floquet(case, K, nodes=64, relax_every=longest + 1)
+
+
 @pytest.mark.parametrize(("rows", "relax_every"), [(8, 1), (7, 2)])
 def test_shape_of_the_wave_is_that_of_the_floquet_matrix(rows, relax_every):
     case = replace(scene(amplitude=100.0), lift_off=False)  # far above the ripple of a uniform road, which is separate

@@ -140,7 +140,9 @@ class ByRuns:
             coarse = self._answering
             relaxed = relative(self._cars(coarse), self._cars(coarse, every))
             # order 2 would make it 3 times that; the steps at the wheels, smoothed the later, make it no more than that
-            further = relative(self._cars(coarse, every), self._cars(coarse, 2 * every))
+            further = relative(
+                self._cars(coarse, every), self._cars(coarse, min(2 * every, whole_headways(self.scene)))
+            )
             error, differs = error + relaxed, differs + min(further, 3 * relaxed)
         if self.piece is self.scene and nodes < self._levels[0][-1]:  # finer runs have told already
             return Predicted(error, 0.0, KNOWN)

@@ -1,8 +1,9 @@
 """Discrete cars: each crosses the road node by node and compacts it; between passages the road relaxes.
 
 Two layouts. An even fleet (identical cars, equal headways of a whole number of nodes) goes headway by headway in
-`cars_even`, and every sample is taken after a whole number of relaxation intervals. Any other fleet goes car by
-car in the order of time in `cars_mixed`, and is sampled at the very times that were asked for.
+`cars_even`, and every sample is taken after a whole number of relaxation intervals; one that is longer than the run, to
+the nearest headway, is refused. Any other fleet goes car by car in the order of time in `cars_mixed`, and is sampled at the
+very times that were asked for.
 
 The relaxation acts every `relax_every` mean headways. Half of one opens and closes the run and each sample (Strang), so
 that the road is second order in the interval at every sample.
@@ -40,6 +41,20 @@ def numerics(scene, given: dict) -> dict:
 
     SceneError names a value that cannot be used, StabilityError a grid too coarse for the fleet.
     """
+    chosen = unstable_numerics(scene, given)
+    every, headways = chosen["relax_every"], max(1, _headways(scene))
+    if every > headways and evenly_spaced(scene, chosen["nodes"]) is not None:
+        raise SceneError(
+            f"relax_every = {every}: evenly spaced cars are sampled after whole intervals, and one of "
+            f"{every * scene.headway_time:.4g} is longer than the duration, {scene.duration:g}; use relax_every <= {headways} "
+            "or a longer duration"
+        )
+    _refuse_coarse_grid(scene, chosen["nodes"], chosen["hold"])
+    return chosen
+
+
+def scheme(scene, given: dict) -> dict:
+    """`numerics` of no run, but of its growth rates: with any relaxation interval, however short the duration."""
     chosen = unstable_numerics(scene, given)
     _refuse_coarse_grid(scene, chosen["nodes"], chosen["hold"])
     return chosen

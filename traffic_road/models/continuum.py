@@ -36,11 +36,12 @@ from ..laws import finite
 from ..memory import refuse_beyond_memory
 from ..schemes.exponential import SAFE, step_limit
 from . import Breath, Pace, Sample
-from .continuum_state import Continuum, Kinds, constant, linear_throughout, modes, present, start
+from .continuum_state import Continuum, Kinds, base_wave, constant, linear_throughout, modes, present, start
 
 KEYWORDS = ("nodes", "step")
 RESOLVED = 0.625  # of `resolving`: a grid with room for that wave, and a quarter more
 PAIR_RATIO = 2.0  # a pair of runs differs by 3 times the error of the better one at order 2, by more at order 4
+LONG_STEP = 8  # default steps: in longer ones cars take off and land, and longer still say too little of their error
 HALF = 0.7  # of the nodes, at most, that a run compared with may have
 LARGEST = 2e9  # multiplications in one product of all matrices: about a minute for a rebuild
 MOST_STEPS = 1e10
@@ -138,13 +139,17 @@ def resolving(scene) -> int:
 def coarser(scene, numerics: dict) -> dict | None:
     """Twice the step and half the nodes, or the somewhat more that the profile needs.
 
-    None where that would say too little: both grids miss what cars answer to, the profile needs nearly all the nodes, or
-    both hold as many harmonics of its waves, all of which are multiples of one.
+    None where that would say too little: both grids miss what cars answer to, the profile needs nearly all the nodes,
+    both hold as many harmonics of its waves, all of which are multiples of one, or steps are too long for any order (a
+    finer run is then still no dearer than one of default steps).
     The step may be beyond `longest_step`: half of it is as wrong as that run tells, where a finer one would say too little.
     """
-    (waves,) = present(start(scene, numerics["nodes"]).spectrum).nonzero()
+    if numerics["step"] > LONG_STEP * default_step(scene):
+        return None
+    spectrum = start(scene, numerics["nodes"]).spectrum
+    (waves,) = present(spectrum).nonzero()
     nodes = max(numerics["nodes"] // 2, 2 * int(waves.max(initial=0)) + 1)
-    base = max(1, int(np.gcd.reduce(waves)))
+    base = base_wave(spectrum)
     blind = (modes(nodes) - 1) // base == (modes(numerics["nodes"]) - 1) // base
     if blind or numerics["nodes"] < RESOLVED * resolving(scene) or nodes > HALF * numerics["nodes"]:
         return None

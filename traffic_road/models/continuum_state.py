@@ -95,6 +95,11 @@ def present(wave: np.ndarray) -> np.ndarray:
     return size > 1e-14 * size.max()
 
 
+def base_wave(spectrum: np.ndarray) -> int:
+    """Of what number of waves on the ring all that the profile has are multiples; 1 for a flat one."""
+    return max(1, int(np.gcd.reduce(present(spectrum).nonzero()[0])))
+
+
 def references(road, state, nodes: int) -> tuple[float, float]:
     """Softness at the mean height of the road, and the largest diffusivity on it (laws do not decrease with H)."""
     if constant(road):
@@ -115,6 +120,16 @@ def left_by_rounding(scene, road_height, time: float) -> float:
     nodes = road_height.size
     begin, wave = start(scene, nodes), rfft(road_height, norm="forward")[: modes(nodes)]
     return waves.left_by_rounding(wave, begin.state, begin.linear[0], time)
+
+
+def grown_from_rounding(scene, road_height) -> float:
+    """Root mean square of the waves that a road of equal periods, as the profile is, has not: rounding, grown since.
+
+    It is of nothing else, however the run has bounced or hardened, and all that is left where the profile's waves decay.
+    """
+    wave = np.abs(rfft(road_height, norm="forward")[: modes(road_height.size)])
+    periods = base_wave(start(scene, road_height.size).spectrum)
+    return float(np.sqrt(2 * np.sum(wave[np.arange(wave.size) % periods != 0] ** 2)))
 
 
 class Continuum:

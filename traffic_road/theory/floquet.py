@@ -97,9 +97,9 @@ def floquet_mode(scene, k, **numerics) -> tuple[complex, np.ndarray]:
 def floquet_modes(scene, wavenumbers, **numerics) -> list[tuple[complex, np.ndarray]]:
     """`floquet_mode` at each of `wavenumbers`."""
     fleet, count = scene.fleet, scene.fleet.count
-    from ..models.cars import numerics as checked  # not at the top: theory is read before the models
+    from ..models.cars import scheme  # not at the top: theory is read before the models
 
-    chosen = checked(scene, numerics)
+    chosen = scheme(scene, numerics)
     nodes, hold, relax_every = (chosen[name] for name in ("nodes", "hold", "relax_every"))
     laws = scene.road.softness, scene.road.diffusivity
     car = [fleet.per_car(name) for name in ("speed", "frequency", "damping", "mass")]

@@ -1,0 +1,106 @@
+"""Error estimates where runs at two resolutions say too little: no order in time, waves that rounding alone has made."""
+
+import numpy as np
+import pytest
+
+import traffic_road as tr
+from traffic_road.estimate import corrugation_difference
+from traffic_road.models import continuum
+
+
+@pytest.mark.parametrize(
+    ("k", "damping", "softness", "amplitude", "duration", "step"),
+    [(1.29, 0.26, 0.008, 6.0, 396.0, 18.0), (0.77, 0.2, 0.004, 1.5, 155.0, 22.2)],
+)
+def test_error_estimate_of_steps_in_which_cars_take_off_and_land_is_true(
+    k, damping, softness, amplitude, duration, step
+):
+    case = tr.Scene(tr.Road(2 * np.pi / k, softness, 0.01, tr.Sine(amplitude, k)), tr.Fleet(1, damping), duration)
+    ds = tr.simulate(case, "continuum", samples=2, nodes=64, step=step)
+    *_, reference = continuum.samples(case, np.array([0.0, duration]), {"nodes": 128, "step": 0.5})
+    error = corrugation_difference(ds.road_height.values[-1], reference.road_height)
+    assert error <= ds.error_estimate <= 3 * error
+
+
+@pytest.mark.parametrize(
+    ("k", "damping", "softness", "diffusivity", "amplitude", "duration", "nodes", "step"),
+    [
+        (1.94, 0.07, tr.Exponential(0.036, 0.2), 0.002, 0.9, 295.0, 64, 1.0),
+        (2.12, 0.29, 0.008, 0.01, 0.9, 239.0, 16, 0.5),
+        (2.2, 0.1, 0.02, 0.002, 1.0, 120.0, 64, 0.5),
+        (2.88, 0.18, 0.061, 0.0, 0.9, 130.0, 32, 0.5),  # kinks that nothing smooths
+    ],
+)
+def test_error_estimate_where_cars_fly_briefly_is_true(
+    k, damping, softness, diffusivity, amplitude, duration, nodes, step
+):
+    # steps twice as long may be right by chance
+    case = tr.Scene(
+        tr.Road(2 * np.pi / k, softness, diffusivity, tr.Sine(amplitude, k)), tr.Fleet(1, damping), duration
+    )
+    ds = tr.simulate(case, "continuum", samples=2, nodes=nodes, step=step)
+    *_, reference = continuum.samples(case, np.array([0.0, duration]), {"nodes": 128, "step": step / 4})
+    error = corrugation_difference(ds.road_height.values[-1], reference.road_height)
+    assert error <= ds.error_estimate <= 10 * error
+
+
+@pytest.mark.parametrize(
+    ("softness", "damping", "amplitude", "k", "waves", "duration", "nodes"),
+    [
+        (0.06, 0.28, 1.5, 2.24, 8, 330.0, 200),  # bounces at first
+        (tr.Exponential(0.071, 0.01), 0.15, 0.5, 2.0, 4, 186.0, 110),
+    ],
+)
+def test_waves_grown_from_rounding_are_part_of_the_estimate(softness, damping, amplitude, k, waves, duration, nodes):
+    # the profile's wave decays, longer ones that it has not grow; a second run begins with much the same rounding
+    def run(periods, **given):
+        road = tr.Road(2 * np.pi / k * periods, softness, 0.001, tr.Sine(amplitude, k))
+        case = tr.Scene(road, tr.Fleet(8 * periods, damping), duration)
+        return tr.simulate(case, "continuum", samples=2, tolerance=10.0, **given)
+
+    ds = run(waves, nodes=nodes)
+    alone = np.tile(run(1, nodes=64).road_height.values[-1], waves)  # on a ring of its own there are no longer ones
+    error = corrugation_difference(ds.road_height.values[-1], alone)
+    assert error <= ds.error_estimate <= 10 * error
+
+
+@pytest.mark.parametrize(
+    ("count", "k", "damping", "law", "diffusivity", "amplitude", "every", "intervals", "where"),
+    [
+        (16, 1.53, 0.34, 0.005, 0.01, 2.0, 36, 40, None),  # bounces, and waves decay within an interval
+        (17, 1.43, 0.36, tr.Exponential(0.007, 0.3), 0.002, 0.05, 35, 3, None),
+        (
+            18,
+            1.26,
+            0.07,
+            0.003,
+            0.002,
+            0.2,
+            27,
+            2,
+            None,
+        ),  # linear, but for no longer than waves need to take their shape
+        (6, 0.9, 0.1, tr.Exponential(0.01, 0.3), 0.002, 0.3, 12, 3, (0, 1, 1.3, 3, 4, 6)),
+    ],
+)
+def test_error_estimate_of_relaxation_too_seldom_for_any_order_is_true(
+    count, k, damping, law, diffusivity, amplitude, every, intervals, where
+):
+    road = tr.Road(2 * np.pi / k, law, diffusivity, tr.Sine(amplitude, k))
+    case = tr.Scene(road, tr.Fleet(count, damping, position=where), intervals * every * road.length / count)
+    ds, reference = (
+        tr.simulate(case, "cars", samples=2, nodes=n * count, hold=h, relax_every=e)
+        for n, h, e in ((32, 3, every), (64, 5, 1))
+    )
+    assert reference.time[-1] == pytest.approx(float(ds.time[-1]))
+    error = corrugation_difference(ds.road_height.values[-1], reference.road_height.values[-1])
+    assert error <= ds.error_estimate <= 3 * error
+
+
+def test_a_road_that_is_flat_for_its_numerics_alone_says_so():
+    # each interval's relaxation and the bouncing between take more of the wave than both at once
+    road = tr.Road(2 * np.pi / 1.59, 0.003, 0.03, tr.Sine(1.0, 1.59))
+    case = tr.Scene(road, tr.Fleet(18, 0.34), 71 * 44 * road.length / 18)
+    ds = tr.simulate(case, "cars", samples=2, nodes=288, relax_every=44)
+    assert np.ptp(ds.road_height.values[-1]) < 1e-12 and ds.error_estimate > 1
+    assert np.ptp(tr.simulate(case, "cars", samples=2, nodes=288).road_height.values[-1]) > 1e-9
