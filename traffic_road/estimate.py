@@ -6,7 +6,8 @@ and shapes the Floquet matrix tells for the scheme and for a far finer one; and 
 road, which one car on a ring of one headway shows. Elsewhere a second run of all at half the resolution tells.
 
 Cars between which the road relaxes less often than every headway are compared with those of half the nodes and every headway:
-in few intervals, or where waves decay within one, errors follow no order.
+in few intervals, or where waves decay within one, errors follow no order. Only of a linear run of many short intervals growth
+rates tell enough.
 """
 
 from __future__ import annotations
@@ -36,6 +37,7 @@ THRICE = 8.0  # by how many times its error, at order 2, a run differs from one 
 # A run that relaxes seldom differs from one that relaxes every headway by its error, but for what that of the coarser grid
 # takes off: measured, 0.5 to 4 times it, below 0.9 in one of a hundred.
 SELDOM = 0.7
+SELDOMEST, INTERVALS = 4, 100  # headways between relaxations, and so many such intervals: see `_settles`
 FINE_ROWS = 96  # nodes a headway up to which a matrix of twice as many is still cheap
 MOST_ROWS = 400  # beyond which the matrices cost more than a second run of all
 
@@ -48,9 +50,15 @@ def error_estimate(scene, name: str, numerics: dict, last: Sample, pair_ratio=No
     module = model(name)
     size = last.road_height.std()
     often = numerics
-    if name == "cars" and numerics["relax_every"] > 1 and _relaxes(scene):
+    linear = name == "cars" and _is_linear(scene, numerics, last)
+    if (
+        name == "cars"
+        and numerics["relax_every"] > 1
+        and _relaxes(scene)
+        and not (linear and _settles(scene, numerics, last))
+    ):
         often = {**numerics, "relax_every": 1}
-    if name == "cars" and often == numerics and _is_linear(scene, numerics, last):
+    if linear and often == numerics:
         other = _compared(scene.fleet.count, numerics)
         error = np.hypot(_of_waves(scene, numerics, other, last), _of_ripple(scene, numerics, other, last))
         method = "growth rates and ripple, of the scheme and of a finer one"
@@ -110,6 +118,13 @@ def _of_brief_flight(scene, module, coarse, first, last) -> float:
 def _relaxes(scene) -> bool:
     law = scene.road.diffusivity
     return not isinstance(law, Constant) or law.value > 0
+
+
+def _settles(scene, numerics, last) -> bool:
+    """Whether a linear run is of so many intervals, not too long, that what growth rates do not tell is little: how the
+    waves that it begins with become those that the scheme has."""
+    every = numerics["relax_every"]
+    return every <= SELDOMEST and last.time >= INTERVALS * every * scene.headway_time
 
 
 def _is_linear(scene, numerics, last):
