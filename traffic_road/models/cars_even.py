@@ -104,7 +104,7 @@ class _Cars:
         self.law = passage(*self.passage, 0.0)
         self.newest = B[0, 0]
         self.lift_off, self.rows = scene.lift_off, rows
-        self.kernel = where_in.width, hold, kind, rows, parallel, scene.lift_off
+        self.kernel = where_in.width, hold, kind, rows, parallel, kind == CONSTANT and not scene.lift_off
 
         height = scene.road.profile.sample(scene.road.length, node.size * rows)
         Z, P, past = start(scene, height, node, np.zeros(count, dtype=int), distinct, hold)
@@ -148,4 +148,5 @@ class _Cars:
             cars = self.state[slot, -2, lane], self.state[slot, 0, lane]
             self.law, short = passage_about(self.passage, *cars, headways * self.rows * slot.size)
         sweep = sweep_even(*self.kernel, short)
-        sweep(road, self.flat, self.contacts, self.layout, headways, done, self.coefficients, self.law)
+        least = 0.0 if self.lift_off else -np.inf
+        sweep(road, self.flat, self.contacts, self.layout, headways, done, self.coefficients, self.law, least)

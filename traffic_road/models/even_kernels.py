@@ -32,7 +32,7 @@ from .even_layout import COMPILE, WIDTH, aligned, copy, hand_over, row_of
 from .even_passages import DEEPEST, met, met_always, met_bounded, met_exponential
 from .stack import align_stack
 
-PAIRED = 4  # nodes that `_in_pairs` crosses at a time
+PAIRED = 4  # nodes that `_in_pairs` crosses at a time, and every other loop where it can
 FIELDS = 3  # of a car: f, (as many sums w as `hold`,) the newest contact height, and f of the node that it belongs to
 
 
@@ -121,24 +121,24 @@ def _in_pairs(road, at, rows, state, car, counts, counted, c, s):
             state[m + i], state[m + W1 + i], state[m + W2 + i], state[m + W3 + i] = g, w, j, g1
 
 
-def _make_sweep(width, hold, kind, unroll, parallel, lift_off, short):
+def _make_sweep(width, hold, kind, unroll, parallel, always, short):
     """The sweep for one width, one hold and one kind of law; `unroll` divides the rows. All are constants of the loop.
 
     Only numbers are closed over: with a compiled function among them the cache on disk would never be found again.
     """
     W1, W2, W3, W4, W5 = (np.uint64(n * width) for n in range(1, 6))
     newest, last = np.uint64((hold + 1) * width), np.uint64((hold + 2) * width)
-    paired = kind == CONSTANT and hold == 1 and width == WIDTH and unroll == PAIRED and lift_off
+    paired = kind == CONSTANT and hold == 1 and width == WIDTH and unroll == PAIRED and not always
     size = np.uint64((FIELDS + hold) * width)
 
     @njit(parallel=parallel, **COMPILE)
-    def sweep(road, state, counts, layout, count, first, c, law):
+    def sweep(road, state, counts, layout, count, first, c, law, least):
         """All cars cross `count` headways, the first of them being headway `first`. A single one is all done at once.
 
         road and state flat. counts (panels * width,): less one for each passage with contact. c: constant, T, -D, e_0.. of
-        the recursion; law: `passage`.
+        the recursion; law: `passage`. least: force that a wheel presses with at least, 0 or, without lift-off, -inf.
         """
-        _ = parallel, short, lift_off  # read, since only what is read tells compiled loops on the disk apart
+        _ = parallel, short, always  # read, since only what is read tells compiled loops on the disk apart
         tiles, rows = layout.tiles, layout.rows
         c0, T, D, e0, e1 = c[0], c[1], c[2], c[3], c[4]
         if hold > 1:
@@ -149,7 +149,6 @@ def _make_sweep(width, hold, kind, unroll, parallel, lift_off, short):
         level, reach, strain, g2, slope = law[6], law[7], law[8], law[9], law[10]
         c3, d3, c4, d4, c5 = law[11], law[12], law[13], law[14], law[15]
         u = law[16], law[17], law[18], law[19], law[20], law[21], law[22], law[23], law[24], law[25], law[26]
-        least = 0.0 if lift_off else -np.inf
         spare = aligned((FIELDS + hold + 1) * width).reshape(FIELDS + hold + 1, width)
         # what an exponential law may have to go back to; of all panels at once: to ask for room takes as long as some rows
         room = (unroll + 1 + hold) * width if kind == EXPONENTIAL else 0
@@ -217,10 +216,10 @@ def _make_sweep(width, hold, kind, unroll, parallel, lift_off, short):
                                     for node in range(unroll):
                                         x = at + uint64(node) * W1 + i
                                         if kind == CONSTANT:
-                                            if lift_off:
-                                                h, road[x], touched = met(road[x], f, s)
-                                            else:
+                                            if always:
                                                 h, road[x], touched = met_always(road[x], f, s)
+                                            else:
+                                                h, road[x], touched = met(road[x], f, s)
                                         elif kind == EXPONENTIAL:
                                             before = road[x]
                                             sunk, touched, square = met_exponential(
@@ -275,10 +274,13 @@ def _make_sweep(width, hold, kind, unroll, parallel, lift_off, short):
 _sweeps: dict = {}
 
 
-def sweep_even(width: int, hold: int, kind: int, rows: int, parallel=False, lift_off=True, short=False):
-    """The compiled sweep for this width, hold (1, 3, 5), kind of law and rows; `short` as in `even_passages`."""
-    unroll = next(u for u in (4, 3, 2, 1) if rows % u == 0)
-    key = width, hold, kind, unroll, parallel, lift_off, short
+def sweep_even(width: int, hold: int, kind: int, rows: int, parallel=False, always=False, short=False):
+    """The compiled sweep for this width, hold (1, 3, 5), kind of law and rows; `short` as in `even_passages`.
+
+    always: constant softness without lift-off, where nothing need be decided.
+    """
+    unroll = PAIRED if rows % PAIRED == 0 else 1
+    key = width, hold, kind, unroll, parallel, always, short
     if key not in _sweeps:
         _sweeps[key] = _make_sweep(*key)
     return _sweeps[key]
