@@ -4,6 +4,7 @@ import json
 import os
 import stat
 from dataclasses import replace
+from datetime import UTC, datetime, timedelta
 
 import netCDF4
 import numpy as np
@@ -119,6 +120,20 @@ def test_history_survives_any_command_line(monkeypatch, tmp_path):
     assert ds.attrs["history"].isascii() and "traffic-road run 'a b'" in ds.attrs["history"]
     tr.save(ds, tmp_path / "a.nc")
     assert tr.open(tmp_path / "a.nc").identical(ds)
+
+
+def test_what_is_given_back_is_what_stands_in_the_file(monkeypatch, tmp_path):
+    class Clock(datetime):  # a second passes whenever it is asked
+        asked = 0
+
+        @classmethod
+        def now(cls, tz=None):
+            cls.asked += 1
+            return datetime(2001, 1, 1, tzinfo=UTC) + timedelta(seconds=cls.asked)
+
+    monkeypatch.setattr(store, "datetime", Clock)
+    first = tr.simulate(SCENE, "linear", samples=2, output=tmp_path / "a.nc")
+    assert first.attrs["history"].startswith("2001-01-01") and tr.open(tmp_path / "a.nc").identical(first)
 
 
 # ---------------------------------------------------------------- atomic writing

@@ -25,7 +25,7 @@ import xarray as xr
 from . import checkpoint
 from .errors import StoreError
 from .scene import Scene
-from .store import assemble, clear_unfinished, dataset, unwritable
+from .store import assemble, clear_unfinished, dataset, history, unwritable
 from .stream import Journal, opened
 
 IN_MEMORY = 1 << 26  # bytes of samples up to which the Dataset is given back in memory
@@ -216,6 +216,7 @@ class Disk:
         self.cost["publish"] = self.published - begin
 
     def finish(self, outcome) -> xr.Dataset:
+        outcome = outcome | {"history": history()}  # one time: what is given back is what stands in the file
         if self.output is not None:
             self._publish(outcome)
         if self.output is not None and self.journal.nbytes > IN_MEMORY:

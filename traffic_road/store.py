@@ -80,9 +80,14 @@ def origin() -> dict:
     return {
         "Conventions": "CF-1.11",
         "source": f"traffic_road {VERSION}",
-        "history": f"{datetime.now(UTC):%Y-%m-%dT%H:%M:%SZ} {_command(tuple(sys.argv))}",
+        "history": history(),
         "references": "J. A. Both, D. C. Hong and D. A. Kurtze, Corrugation of roads, Physica A 301 (2001) 545-559",
     }
+
+
+def history() -> str:
+    """The line that says when, and by which command."""
+    return f"{datetime.now(UTC):%Y-%m-%dT%H:%M:%SZ} {_command(tuple(sys.argv))}"
 
 
 @lru_cache(maxsize=1)
