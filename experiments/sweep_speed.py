@@ -65,10 +65,11 @@ def linear(softnesses: int, dampings: int) -> tuple[xr.Dataset, float]:
     return ds, seconds
 
 
-def kills(wanted: int, points: int) -> list[list[int]]:
+def kills(wanted: int, points: int, workers: int) -> list[list[int]]:
     """Points in the store after each kill, a list for each sweep that was brought to its end."""
     scene = replace(PAPER, duration=200.0)
     over = ["--over", f"road.softness=0.003:0.005:{points}", "--tolerance", "1e-2", "--model", "cars"]
+    over += ["--workers", str(workers)]
     rng = np.random.default_rng(np.random.SeedSequence(1))
     lives: list[list[int]] = [[]]
     with tempfile.TemporaryDirectory() as folder:
@@ -132,7 +133,7 @@ def main() -> None:
     chosen = options(__doc__)
     seconds = rates(2, 100.0, 1) if chosen.quick else rates(8, 5000.0, 2)
     map_, linear_seconds = linear(20, 50) if chosen.quick else linear(250, 400)
-    lives = kills(1, 16) if chosen.quick else kills(25, 120)
+    lives = kills(1, 16, workers=1) if chosen.quick else kills(25, 120, workers=2)
     after = [count for life in lives for count in life]
     ds = xr.Dataset(
         {

@@ -6,6 +6,7 @@ number, so that heights and waves are in one-to-one relation), in H, Z, P, with 
 
 import warnings
 from dataclasses import replace
+from functools import lru_cache
 
 import numpy as np
 import pytest
@@ -34,6 +35,7 @@ def run(scene, times=None, **given):
     return [sample for sample in everything if isinstance(sample, Sample)]
 
 
+@lru_cache
 def dop853(scene, nodes, rtol, oversampling=32):
     """Road height and mean car height at the end, (2, nodes), every car of the settled fleet a field of its own."""
     road, fleet = scene.road, scene.fleet
@@ -171,7 +173,7 @@ def test_order_four_where_smooth():
 
 
 def test_order_where_bouncing():
-    order = fitted_order(BOUNCING, [4.0, 2.0, 1.0, 0.5, 0.25], 1e-11)
+    order = fitted_order(BOUNCING, [4.0, 2.0, 1.0, 0.5, 0.25], 1e-10)
     print(f"order {order:.2f}")
     assert order > 1  # about 2, with the scatter of kinks falling anywhere in a step
 

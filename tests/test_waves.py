@@ -212,7 +212,7 @@ def test_time_integration():
 
 
 def test_sidebands_grow_as_predicted():
-    k, softness, waves, points = 0.7, 0.006, 4, 48
+    k, softness, waves, points = 0.7, 0.006, 4, 32
     wave = travelling_wave(k, softness=softness, modes=24, **PAPER)
     q = k / waves
     rate = wave_stability(wave, bloch=q)[0]
@@ -221,12 +221,12 @@ def test_sidebands_grow_as_predicted():
     f, start, m = rhs(k, waves, points, softness, **PAPER)
     x = np.arange(waves * points) * 2 * np.pi / (k * points)
     harmonics = np.fft.rfft(wave.height.values) / wave.sizes["x"]
-    height = 2 * (np.exp(1j * k * np.outer(x, np.arange(1, 24))) @ harmonics[1:24]).real
+    height = 2 * (np.exp(1j * k * np.outer(x, np.arange(1, 16))) @ harmonics[1:16]).real
     times = np.arange(1800, 2601, 100.0)
     seeded = start(height + 1e-4 * np.cos((k + q) * x), float(wave.velocity))
-    run = solve_ivp(f, (0, times[-1]), seeded, rtol=1e-6, atol=1e-7, t_eval=times)
+    run = solve_ivp(f, (0, times[-1]), seeded, rtol=1e-5, atol=1e-6, t_eval=times)
     sideband = run.y[waves + 1] + 1j * run.y[waves + 1 + m]  # wavenumber k + q
-    # 3 %: by t = 1800 the next mode, slower by 0.0018, is down to 4 %; the integrator and 48 points are worth 1 %
+    # 3 %: by t = 1800 the next mode, slower by 0.0018, is down to 4 %; the integrator and 32 points are worth 1 %
     assert np.polyfit(times, np.log(np.abs(sideband)), 1)[0] == pytest.approx(rate.real, rel=0.03)
     turning = np.polyfit(times, np.unwrap(np.angle(sideband)), 1)[0]
     assert turning == pytest.approx(rate.imag - (k + q) * float(wave.velocity), rel=0.01)
