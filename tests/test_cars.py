@@ -443,7 +443,7 @@ def test_band_of_weights_is_the_transform(spread):
 
 
 @pytest.mark.parametrize("nodes", [1, 2, 3, 8, 61, relaxation.SHORT_RING - 1, relaxation.SHORT_RING])
-@pytest.mark.parametrize("spread", [1e-3, 0.7, 30.0, 1e5])
+@pytest.mark.parametrize("spread", [1e-300, 1e-13, 1e-3, 0.7, 30.0, 1e5])
 def test_all_pairs_around_a_short_ring_are_the_transform(nodes, spread):
     height = np.random.default_rng(nodes).standard_normal(nodes)
     found = height.copy()
@@ -458,6 +458,8 @@ def test_a_longer_ring_has_no_short_band_for_little_or_much_smoothing():
     nodes = relaxation.SHORT_RING + 1
     assert relaxation.band(0.7, float(nodes), nodes) is None and relaxation.band(1e3, float(nodes), nodes) is None
     assert relaxation.band(30.0, float(nodes), nodes) is not None
+    for spread in (1e-200, 1e-12):  # next to nothing: nearest neighbours do
+        np.testing.assert_allclose(relaxation.band(spread, float(nodes), nodes), [1 - 2 * spread, spread], rtol=1e-13)
 
 
 def banded(weights, height):

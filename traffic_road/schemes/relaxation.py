@@ -168,7 +168,7 @@ def _cut(kernel, spread):
     """The kernel (n,) of a sum of 1, cut to what is more than TAIL; its mean and spread, sum of t^2, are kept."""
     tail = 2 * np.cumsum(np.abs(kernel[::-1]))[::-1]  # tail[t]: all that lies at distance t or more
     short = np.flatnonzero(tail <= TAIL)
-    size = int(short[0]) if short.size else kernel.size
+    size = max(2, int(short[0])) if short.size else kernel.size  # so little is left of a spread below 1e-11, too
     weights = kernel[:size].copy()
     if short.size:  # what is cut off of the spread is put back by the last weight
         weights[-1] += (spread - 2 * np.arange(size) ** 2 @ weights) / (2 * (size - 1) ** 2)
