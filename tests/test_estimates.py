@@ -97,6 +97,21 @@ def test_error_estimate_of_relaxation_too_seldom_for_any_order_is_true(
     assert error <= ds.error_estimate <= 3 * error
 
 
+@pytest.mark.parametrize(
+    ("count", "k", "damping", "softness", "diffusivity", "duration", "rows"),
+    [(15, 0.65, 0.2, 0.009, 0.05, 3.8, 6), (19, 1.0, 0.4, 0.013, 0.04, 42.0, 12)],
+)
+def test_error_estimate_of_cars_that_start_from_rest_is_true(count, k, damping, softness, diffusivity, duration, rows):
+    # linear, but what the cars do before they settle is on the road for long, and no growth rate tells of it
+    road = tr.Road(2 * np.pi / k, softness, diffusivity, tr.Sine(1e-2, k))
+    case = tr.Scene(road, tr.Fleet(count, damping, start="rest"), duration)
+    ds, reference = (
+        tr.simulate(case, "cars", samples=2, nodes=n * count, hold=5, tolerance=10.0) for n in (rows, 16 * rows)
+    )
+    error = corrugation_difference(ds.road_height.values[-1], reference.road_height.values[-1])
+    assert error <= ds.error_estimate <= 3 * error
+
+
 def test_a_road_that_is_flat_for_its_numerics_alone_says_so():
     # each interval's relaxation and the bouncing between take more of the wave than both at once
     road = tr.Road(2 * np.pi / 1.59, 0.003, 0.03, tr.Sine(1.0, 1.59))

@@ -1,9 +1,9 @@
 """The error of a run: how far its corrugation is, at the end, from what its model's own equations give.
 
-In the L2 norm over the road, mean removed, relative. Where the run is linear (identical evenly spaced cars, constant
-laws, no passage without contact) it is the sum of two parts, each known apart from the other: waves, whose growth rates
-and shapes the Floquet matrix tells for the scheme and for a far finer one; and the ripple that passages leave on a uniform
-road, which one car on a ring of one headway shows. Elsewhere a second run of all at half the resolution tells.
+In the L2 norm over the road, mean removed, relative. Where the run is linear (identical evenly spaced cars, settled at the
+start, constant laws, no passage without contact) it is the sum of two parts, each known apart from the other: waves, whose
+growth rates and shapes the Floquet matrix tells for the scheme and for a far finer one; and the ripple that passages leave
+on a uniform road, which one car on a ring of one headway shows. Elsewhere a second run of all at half the resolution tells.
 
 Cars between which the road relaxes less often than every headway are compared with those of half the nodes and every headway:
 in few intervals, or where waves decay within one, errors follow no order. Only of a linear run of many short intervals growth
@@ -133,6 +133,8 @@ def _is_linear(scene, numerics, last):
         return False
     if not any(law.value for law in laws):
         return False  # nothing changes such a road: all its waves have one rate, and none a shape of its own
+    if scene.fleet.start != "settled":
+        return False  # before they settle, cars leave steps at every headway of each wave, which its growth rate does not know
     if 2 * scene.road.profile.highest_wave(scene.road.length) >= scene.fleet.count:
         return False  # waves that the cars take for longer ones
     few = numerics["nodes"] <= MOST_ROWS * scene.fleet.count
