@@ -112,6 +112,24 @@ def test_error_estimate_of_cars_that_start_from_rest_is_true(count, k, damping, 
     assert error <= ds.error_estimate <= 3 * error
 
 
+@pytest.mark.parametrize(
+    ("count", "k", "damping", "softness", "diffusivity", "duration", "rows", "hold"),
+    [(12, 0.9, 0.013, 0.002, 0.048, 64.0, 6, 5), (14, 1.54, 0.005, 0.006, 0.004, 4.0, 12, 1)],
+)
+def test_error_estimate_where_cars_would_swing_longest_is_true(
+    count, k, damping, softness, diffusivity, duration, rows, hold
+):
+    # the rate that decays least is that of the cars, who are settled: it has next to nothing of the road
+    road = tr.Road(2 * np.pi / k, softness, diffusivity, tr.Sine(5e-2, k))
+    case = tr.Scene(road, tr.Fleet(count, damping), duration)
+    ds, reference = (
+        tr.simulate(case, "cars", samples=2, nodes=n * count, hold=h, tolerance=10.0)
+        for n, h in ((rows, hold), (16 * rows, 5))
+    )
+    error = corrugation_difference(ds.road_height.values[-1], reference.road_height.values[-1])
+    assert error <= ds.error_estimate <= 3 * error
+
+
 def test_a_road_that_is_flat_for_its_numerics_alone_says_so():
     # each interval's relaxation and the bouncing between take more of the wave than both at once
     road = tr.Road(2 * np.pi / 1.59, 0.003, 0.03, tr.Sine(1.0, 1.59))

@@ -1,9 +1,10 @@
 """The error of a run: how far its corrugation is, at the end, from what its model's own equations give.
 
 In the L2 norm over the road, mean removed, relative. Where the run is linear (identical evenly spaced cars, settled at the
-start, constant laws, no passage without contact) it is the sum of two parts, each known apart from the other: waves, whose
-growth rates and shapes the Floquet matrix tells for the scheme and for a far finer one; and the ripple that passages leave
-on a uniform road, which one car on a ring of one headway shows. Elsewhere a second run of all at half the resolution tells.
+start, constant laws, no passage without contact) and its waves grow at one rate each it is the sum of two parts, each known
+apart from the other: waves, whose growth rates and shapes the Floquet matrix tells for the scheme and for a far finer one;
+and the ripple that passages leave on a uniform road, which one car on a ring of one headway shows. Elsewhere a second run
+of all at half the resolution tells.
 
 Cars between which the road relaxes less often than every headway are compared with those of half the nodes and every headway:
 in few intervals, or where waves decay within one, errors follow no order. Only of a linear run of many short intervals growth
@@ -17,16 +18,21 @@ from dataclasses import replace
 
 import numpy as np
 
+from .errors import SceneError
 from .laws import Constant
 from .models import Sample, model
 from .models.cars_state import even_start, sink_rate
 from .models.continuum_state import grown_from_rounding, left_by_rounding, linear_throughout
 from .scene import Fleet, Road
+from .schemes.exponential import eigenvectors
+from .schemes.oscillator import settled_waves
+from .theory.dispersion import mode_matrix
 from .theory.floquet import floquet_modes
 
 EPS = float(np.finfo(float).eps)
 STRONGEST = 8  # waves of the final road that stand for all of them, or fewer whose share of it is
 SHARE = 1 - 1e-6
+OTHERS = 0.1  # of a wave by its growth rate: what may belong to the other rates that it has
 # By how many times its error e a run differs from one at half the resolution where nothing smooths the steps that passages
 # leave, and it is of order 1/2: by the short waves that grids leave out, of which the squares subtract, 2 e^2 - e^2; and for
 # cars by the node at each step, whose error on the waves of both grids is half as large on the finer: e^2/2. At order 1: e.
@@ -138,7 +144,27 @@ def _is_linear(scene, numerics, last):
     if 2 * scene.road.profile.highest_wave(scene.road.length) >= scene.fleet.count:
         return False  # waves that the cars take for longer ones
     few = numerics["nodes"] <= MOST_ROWS * scene.fleet.count
-    return few and even_start(scene, numerics["nodes"]) is not None
+    if not few or even_start(scene, numerics["nodes"]) is None:
+        return False
+    return all(_has_one_rate(scene, n + 1, last.time) for n in _strongest(scene, last)[1])
+
+
+def _has_one_rate(scene, number, time) -> bool:
+    """Whether the wave with so many periods a length, its cars settled at the start, is by then what its fastest rate makes
+    of it, in the continuum: the fastest may be that at which cars swing, who have not swung so far."""
+    fleet, length = scene.fleet, scene.road.length
+    laws = {"softness": scene.road.softness.value, "diffusivity": scene.road.diffusivity.value}
+    matrix = mode_matrix(2 * np.pi / length * number, fleet, **laws)
+    car = (float(fleet.per_car(name)[0]) for name in ("speed", "frequency", "damping"))
+    try:
+        Z, P = settled_waves(np.ones(1), np.array([number]), length, *car)
+    except SceneError:  # a wave of rounding at the resonance of cars without damping
+        return False
+    rate, shape, inverse = (values[0] for values in eigenvectors(matrix[None]))
+    with np.errstate(all="ignore"):
+        part = shape[0] * (inverse @ np.concatenate((np.ones(1), Z, P))) * np.exp(rate * time)
+    fastest = part[np.argmax(rate.real)]
+    return bool(abs(part.sum() - fastest) < OTHERS * abs(fastest))
 
 
 def _compared(count: int, numerics: dict) -> dict:
@@ -148,17 +174,22 @@ def _compared(count: int, numerics: dict) -> dict:
     return {**numerics, "nodes": count * (numerics["nodes"] // count // 2)}
 
 
-def _of_waves(scene, numerics, other, last) -> float:
-    """Root mean square difference of the road by the growth rates of its strongest waves in two schemes."""
+def _strongest(scene, last):
+    """Root mean square of each wave of the road, from one period a length on, and the places of the strongest among them."""
     # of length two headways and more; shorter ones are the ripple of these and of the uniform road
     wave = np.abs(np.fft.rfft(last.road_height))[1 : (scene.fleet.count + 1) // 2] * (
         np.sqrt(2) / last.road_height.size
     )
-    if not wave.any():
-        return 0.0
     strongest = np.argsort(wave)[::-1][:STRONGEST]
     enough = np.searchsorted(np.cumsum(wave[strongest] ** 2), SHARE * np.sum(wave**2)) + 1
-    strongest = strongest[:enough]
+    return wave, strongest[: enough if wave.any() else 0]
+
+
+def _of_waves(scene, numerics, other, last) -> float:
+    """Root mean square difference of the road by the growth rates of its strongest waves in two schemes."""
+    wave, strongest = _strongest(scene, last)
+    if not strongest.size:
+        return 0.0
     k = 2 * np.pi * (strongest + 1) / scene.road.length
     error = 0.0
     modes = zip(strongest, *(floquet_modes(scene, k, **p) for p in (numerics, other)), strict=True)
