@@ -130,6 +130,24 @@ def test_error_estimate_where_cars_would_swing_longest_is_true(
     assert error <= ds.error_estimate <= 3 * error
 
 
+@pytest.mark.parametrize(
+    ("count", "waves", "k", "damping", "softness", "diffusivity", "amplitude", "rows", "every", "intervals"),
+    [(15, 2, 0.814, 0.51, 0.036, 0.076, 1.05, 4, 15, 1), (18, 1, 1.1, 0.53, 0.0048, 0.0107, 0.332, 9, 4, 2)],
+)
+def test_error_estimate_where_those_of_grid_and_interval_cancel_is_true(
+    count, waves, k, damping, softness, diffusivity, amplitude, rows, every, intervals
+):
+    # of the error of the interval that of the coarser grid takes off a half
+    road = tr.Road(2 * np.pi / k * waves, softness, diffusivity, tr.Sine(amplitude, k))
+    case = tr.Scene(road, tr.Fleet(count, damping), intervals * every * road.length / count)
+    ds, reference = (
+        tr.simulate(case, "cars", samples=2, nodes=n * count, hold=h, relax_every=e, tolerance=10.0)
+        for n, h, e in ((rows, 1, every), (128, 5, 1))
+    )
+    error = corrugation_difference(ds.road_height.values[-1], reference.road_height.values[-1])
+    assert error <= ds.error_estimate <= 3 * error
+
+
 def test_a_road_that_is_flat_for_its_numerics_alone_says_so():
     # each interval's relaxation and the bouncing between take more of the wave than both at once
     road = tr.Road(2 * np.pi / 1.59, 0.003, 0.03, tr.Sine(1.0, 1.59))
