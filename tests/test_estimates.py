@@ -45,6 +45,20 @@ def test_error_estimate_where_cars_fly_briefly_is_true(
 
 
 @pytest.mark.parametrize(
+    ("k", "damping", "law", "amplitude", "duration"),
+    [(1.5, 0.2, tr.Exponential(0.05, 1.0), 0.5, 2.4), (1.0, 0.1, tr.Bounded(0.02, 2.0), 0.3, 3.0)],
+)
+@pytest.mark.parametrize("longer", [1.0, 10.0])  # the scene than the run
+def test_error_estimate_of_a_single_step_is_true(k, damping, law, amplitude, duration, longer):
+    # a second run in longer steps would take the same one
+    case = tr.Scene(tr.Road(2 * np.pi / k, law, 0.01, tr.Sine(amplitude, k)), tr.Fleet(1, damping), duration * longer)
+    ds = tr.simulate(case, "continuum", samples=[0.0, duration], nodes=64, step=duration)
+    *_, reference = continuum.samples(case, np.array([0.0, duration]), {"nodes": 128, "step": duration / 32})
+    error = corrugation_difference(ds.road_height.values[-1], reference.road_height)
+    assert error <= ds.error_estimate <= 3 * error
+
+
+@pytest.mark.parametrize(
     ("softness", "damping", "amplitude", "k", "waves", "duration", "nodes"),
     [
         (0.06, 0.28, 1.5, 2.24, 8, 330.0, 200),  # bounces at first

@@ -53,6 +53,7 @@ def error_estimate(scene, name: str, numerics: dict, last: Sample, pair_ratio=No
 
     pair_ratio: of a plan that knows it, in place of the model's PAIR_RATIO.
     """
+    scene = replace(scene, duration=last.time)  # which samples at times of their own make another
     module = model(name)
     size = last.road_height.std()
     often = numerics

@@ -140,11 +140,11 @@ def coarser(scene, numerics: dict) -> dict | None:
     """Twice the step and half the nodes, or the somewhat more that the profile needs.
 
     None where that would say too little: both grids miss what cars answer to, the profile needs nearly all the nodes,
-    both hold as many harmonics of its waves, all of which are multiples of one, or steps are too long for any order (a
-    finer run is then still no dearer than one of default steps).
+    both hold as many harmonics of its waves, all of which are multiples of one, the run is of one step, which none is longer
+    than, or steps are too long for any order (a finer run is then still no dearer than one of default steps).
     The step may be beyond `longest_step`: half of it is as wrong as that run tells, where a finer one would say too little.
     """
-    if numerics["step"] > LONG_STEP * default_step(scene):
+    if numerics["step"] > LONG_STEP * default_step(scene) or steps_between(0.0, scene.duration, numerics["step"]) == 1:
         return None
     spectrum = start(scene, numerics["nodes"]).spectrum
     (waves,) = present(spectrum).nonzero()
