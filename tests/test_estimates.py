@@ -162,6 +162,24 @@ def test_error_estimate_where_those_of_grid_and_interval_cancel_is_true(
     assert error <= ds.error_estimate <= 3 * error
 
 
+@pytest.mark.parametrize(
+    ("count", "law", "diffusivity", "amplitude", "rows", "every", "intervals"),
+    [(7, tr.Bounded(0.03, 1.0), 0.03, 1e-3, 2, 14, 1), (8, 0.03, 0.05, 1e-3, 3, 8, 2)],
+)
+def test_error_estimate_on_two_or_three_nodes_a_headway_is_true(
+    count, law, diffusivity, amplitude, rows, every, intervals
+):
+    # half of them is one, on which passages leave no ripple
+    road = tr.Road(2 * np.pi / 0.9, law, diffusivity, tr.Sine(amplitude, 0.9))
+    case = tr.Scene(road, tr.Fleet(count, 0.14), intervals * every * road.length / count)
+    ds, reference = (
+        tr.simulate(case, "cars", samples=2, nodes=n * count, hold=5, relax_every=e, tolerance=10.0)
+        for n, e in ((rows, every), (64, 1))
+    )
+    error = corrugation_difference(ds.road_height.values[-1], reference.road_height.values[-1])
+    assert error <= ds.error_estimate <= 3 * error
+
+
 def test_a_road_that_is_flat_for_its_numerics_alone_says_so():
     # each interval's relaxation and the bouncing between take more of the wave than both at once
     road = tr.Road(2 * np.pi / 1.59, 0.003, 0.03, tr.Sine(1.0, 1.59))

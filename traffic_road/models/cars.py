@@ -93,8 +93,10 @@ def unstable_numerics(scene, given: dict) -> dict:
 
 def coarser(scene, chosen: dict) -> dict | None:
     """Half the nodes and, where relaxation is less often than every headway, twice the interval; None if impossible, or if
-    the run is so short that its intervals would be the same."""
+    the run is so short that its intervals would be the same, or if there would be one node a headway, which has no ripple."""
     count = scene.fleet.count
+    if chosen["nodes"] < 4 * count and evenly_spaced(scene, chosen["nodes"]) is not None:
+        return None
     if chosen["relax_every"] > 1 and _headways(scene) < 2 * chosen["relax_every"]:
         return None
     nodes = chosen["nodes"] // 2
