@@ -1,5 +1,6 @@
 """The plan: what it chooses, whether its errors are true, what it is told to keep."""
 
+import json
 from dataclasses import replace
 
 import numpy as np
@@ -60,6 +61,22 @@ def test_auto_keeps_the_tolerance_and_knows_its_error(name):
     # too cautious by less than 10; a road that is better by far than it need be at the coarsest grid there is may be
     assert ds.error_estimate <= 10 * error and planned.error <= 10 * error
     assert ds.attrs["model_error"] == planned.model_error and ds.attrs["plan"] == planned.reason
+
+
+@pytest.mark.parametrize("headways", [4.11, 40.5, 0.3])
+@pytest.mark.parametrize("samples", [5, [0.0, 0.01, "end"]])
+def test_auto_ends_where_the_road_of_evenly_spaced_cars_is_known(headways, samples):
+    """Between whole headways it is a sawtooth that no smooth model has: a hundred times the error told, once."""
+    case = scene(count=40, headways=headways)
+    whole = replace(case, duration=max(1, round(headways)) * case.headway_time)
+    times = samples if samples == 5 else [case.duration if t == "end" else t for t in samples]
+    ds = tr.simulate(case, tolerance=3e-3, samples=times)
+    assert ds.model in ("linear", "continuum") and float(ds.time[-1]) == pytest.approx(whole.duration, rel=1e-12)
+    assert json.loads(ds.scene)["duration"] == float(ds.time[-1])
+    error = corrugation_difference(truth(whole), ds.road_height.values[-1])
+    assert error <= ds.error_estimate <= 3e-3
+    again = tr.rerun(ds)
+    assert np.array_equal(again.time, ds.time) and np.array_equal(again.road_height, ds.road_height)
 
 
 def test_a_finer_grid_for_a_smaller_tolerance_and_no_finer():

@@ -73,7 +73,8 @@ def plan(scene, tolerance: float = 1e-3, **numerics) -> Plan:
     """The cheapest of linear, continuum and cars, and of their resolutions, predicted to meet `tolerance`.
 
     tolerance: relative error of the corrugation (L2 over the road, mean removed) at the end, against the discrete scene:
-    cars on a fine grid, the road relaxed every headway. numerics: nodes, hold, relax_every, step, to be kept as given.
+    cars on a fine grid, the road relaxed every headway; evenly spaced ones after a whole number of headways.
+    numerics: nodes, hold, relax_every, step, to be kept as given.
     Where nothing that was tried will do, the cheapest that is nearly as good as the best, and `reason` says so.
     Planning takes at most costs.FREE, thrice (to look when cars take off, to ask linear theory, to make runs of its own), and
     costs.TIMES the cost of the run that it plans, all as predicted, which is right within two or so; `reason` says what was

@@ -22,6 +22,8 @@ from .keeper import Disk, Job, Memory
 from .laws import finite, whole
 from .memory import refuse_beyond_memory
 from .models import Breath, Sample, model
+from .models.cars_state import evenly_spaced
+from .outlook import whole_headways
 from .planning import KEYWORDS, plan
 from .scene import Scene
 from .signals import guarded
@@ -41,12 +43,13 @@ def simulate(
     model: "cars", "continuum", "linear", or "auto", what `plan` chooses. tolerance: relative error of the corrugation (L2
     over the road, mean removed) at the end; where no resolution is given the default, or the plan's, is refined until the
     estimate meets it. By name `error_estimate` is the error by the model's own equations; with "auto" it is that against
-    the discrete scene, the part `model_error` that the plan predicts included. samples: number of times, evenly spaced
-    from 0 to the duration, or the times themselves, which then say how long the run is. Numerics override the default:
-    nodes, hold, relax_every for "cars", nodes, step for "continuum", nodes for "linear". progress: True, False, a function
-    that is given the fraction done (from the start again when the resolution is refined), or None for a bar after two
-    seconds if there is a terminal. allow_unstable: for study; run outside a stability limit, too, with a warning and without
-    an error estimate, and follow growth beyond the saturation limit to a corrugation of 1e12.
+    the discrete scene, the part `model_error` that the plan predicts included, and a run of evenly spaced cars of one speed
+    ends after a whole number of headways, the nearest, whichever model is chosen: their road is known at these times alone.
+    samples: number of times, evenly spaced from 0 to the duration, or the times themselves, which then say how long the run
+    is. Numerics override the default: nodes, hold, relax_every for "cars", nodes, step for "continuum", nodes for "linear".
+    progress: True, False, a function that is given the fraction done (from the start again when the resolution is refined),
+    or None for a bar after two seconds if there is a terminal. allow_unstable: for study; run outside a stability limit,
+    too, with a warning and without an error estimate, and follow growth beyond the saturation limit to a corrugation of 1e12.
 
     output: netCDF file to write. Samples are streamed to it, so that memory stays flat, and whoever opens it meanwhile finds
     a whole file of the run so far; `status` says so. A result of more than 64 MB is given back as that file, opened, whose
@@ -75,7 +78,8 @@ def simulate(
             )
     times, chosen = _times(scene, samples), None
     if model == "auto":
-        chosen = asdict(plan(replace(scene, duration=float(times[-1])), tolerance, **numerics))
+        scene, times = _to_whole_headways(scene, samples, times)
+        chosen = asdict(plan(scene, tolerance, **numerics))
         model = chosen["model"]
     even = np.ndim(samples) == 0 or np.array_equal(times, _times(scene, times.size))
     job = Job(scene, model, tolerance, numerics, times, even, bool(allow_unstable), chosen)
@@ -125,6 +129,21 @@ def _times(scene, samples) -> np.ndarray:
     ):
         raise SceneError("samples: times must be two or more, increase, and begin with 0; or give their number")
     return times
+
+
+def _to_whole_headways(scene, samples, times) -> tuple[Scene, np.ndarray]:
+    """The scene and times that end when evenly spaced cars have each driven a whole number of headways, the nearest.
+
+    What `plan` predicts is the error against the discrete road, which is known at these times alone.
+    """
+    scene = replace(scene, duration=float(times[-1]))
+    if evenly_spaced(scene, scene.fleet.count) is None:
+        return scene, times
+    end = whole_headways(scene) * scene.headway_time
+    if abs(end - times[-1]) <= 1e-9 * end:
+        return scene, times
+    scene = replace(scene, duration=end)
+    return scene, _times(scene, samples) if np.ndim(samples) == 0 else np.append(times[times < end], end)
 
 
 def rerun(ds, **changes) -> xr.Dataset:
