@@ -79,6 +79,23 @@ def test_auto_ends_where_the_road_of_evenly_spaced_cars_is_known(headways, sampl
     assert np.array_equal(again.time, ds.time) and np.array_equal(again.road_height, ds.road_height)
 
 
+@pytest.mark.parametrize(
+    ("headways", "tolerance", "fleet"),
+    [
+        (6, 2e-3, {"count": 4, "damping": 0.085, "mass": (0.76, 1.19, 1.05, 0.82), "amplitude": 1.09}),
+        (26, 3e-2, {"count": 6, "damping": 0.35, "mass": (1.26, 0.76, 0.93, 1.13, 1.13, 1.0), "softness": 0.0013}),
+        (1.6, 3e-2, {"count": 4, "damping": 0.23, "position": (0.48, 1.56, 3.12, 4.44), "amplitude": 0.17}),
+    ],
+)
+def test_the_plans_runs_end_when_the_run_does(headways, tolerance, fleet):
+    """Of any duration: a few headways before or after, errors are others; those told were down to a third."""
+    case = scene(headways=headways, **{"softness": 0.002, "diffusivity": 0.0012, "amplitude": 0.028, **fleet})
+    ds = tr.simulate(case, tolerance=tolerance, samples=2)
+    error = corrugation_difference(truth(case), ds.road_height.values[-1])
+    assert "plan" in ds.error_method
+    assert error <= ds.error_estimate <= min(tolerance, 4 * error)
+
+
 def test_a_finer_grid_for_a_smaller_tolerance_and_no_finer():
     tolerances = (1e-2, 1e-3, 1e-4, 1e-5)
     for case in (scene(count=4), scene(count=4, amplitude=1.5)):

@@ -67,9 +67,9 @@ def takes_off(scene) -> float | None:
     return float(times[lost[0]]) if lost.size else None
 
 
-def whole_headways(scene, times: int = 1) -> int:
-    """The duration in headways, a multiple of `times`, at least one."""
-    return max(1, round(scene.duration / scene.headway_time / times)) * times
+def whole_headways(scene) -> int:
+    """The duration in headways, at least one."""
+    return max(1, round(scene.duration / scene.headway_time))
 
 
 def piece(scene):

@@ -14,6 +14,7 @@ from . import costs
 from .errors import SceneError, StabilityError
 from .health import RUNAWAY
 from .models import cars, continuum, linear
+from .models.cars_state import evenly_spaced
 from .models.continuum_state import Kinds
 from .outlook import piece, whole_headways
 from .predict import ENOUGH, KNOWN, Predicted, order, relative
@@ -33,7 +34,9 @@ class ByRuns:
         self.piece = piece(scene)
         self.even = linear.is_even(scene)
         self.waves = scene.road.profile.highest_wave(scene.road.length) + 1
-        self.end = whole_headways(scene, 4) * scene.headway_time
+        # the very moment that the run will end at: errors of another one, a headway off, are others, half as large or twice
+        even = evenly_spaced(scene, scene.fleet.count) is not None
+        self.end = whole_headways(scene) * scene.headway_time if even else scene.duration
         self._runs: dict = {}
 
     @property
