@@ -180,6 +180,20 @@ def test_error_estimate_on_two_or_three_nodes_a_headway_is_true(
     assert error <= ds.error_estimate <= 3 * error
 
 
+@pytest.mark.parametrize("amplitude", [1e-2, 1.5])
+@pytest.mark.parametrize("headways", [4.5, 40.5])
+@pytest.mark.parametrize("nodes", [129, 257])
+def test_error_estimate_of_an_even_fleet_between_nodes_is_true(nodes, headways, amplitude):
+    # half of 2 q 8 + 1 nodes is q 8, on which it would be seen at another time, after a whole headway
+    k = 0.9
+    road, fleet = tr.Road(2 * np.pi / k, 0.006, 0.01, tr.Sine(amplitude, k)), tr.Fleet(8, 0.1)
+    case = tr.Scene(road, fleet, headways * road.length / 8)
+    ds, fine = (tr.simulate(case, "cars", samples=2, nodes=n, hold=5, tolerance=1.0) for n in (nodes, 15 * nodes))
+    assert float(ds.time[-1]) == float(fine.time[-1]) == case.duration
+    error = corrugation_difference(fine.road_height.values[-1], ds.road_height.values[-1])
+    assert error <= ds.error_estimate <= 5 * error
+
+
 def test_a_road_that_is_flat_for_its_numerics_alone_says_so():
     # each interval's relaxation and the bouncing between take more of the wave than both at once
     road = tr.Road(2 * np.pi / 1.59, 0.003, 0.03, tr.Sine(1.0, 1.59))

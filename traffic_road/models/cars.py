@@ -102,6 +102,8 @@ def coarser(scene, chosen: dict) -> dict | None:
     nodes = chosen["nodes"] // 2
     if chosen["nodes"] % count == 0 and chosen["nodes"] > count:
         nodes = count * (chosen["nodes"] // count // 2)  # an even fleet stays one
+    elif nodes % count == 0:
+        nodes -= 1  # and one that stands between nodes does, or it would be seen at another time
     relax_every = 2 * chosen["relax_every"] if chosen["relax_every"] > 1 else 1
     try:
         return numerics(scene, {**chosen, "nodes": nodes, "relax_every": relax_every})
