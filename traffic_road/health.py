@@ -164,12 +164,10 @@ def foreseen(scene) -> str | None:
     highest = road.profile.highest_wave(road.length)
     if highest == 0 or damping == 0:
         return None
-    k = 2 * np.pi / road.length * np.arange(1, highest + 1)
+    wave = 2 * np.abs(road.profile.spectrum(road.length, 2 * highest + 1))[1:]
+    (present,) = (wave > 1e-14 * wave.max()).nonzero()
+    k, wave = 2 * np.pi / road.length * (1 + present), wave[present]
     candidate = unstable(k * unit.length, alpha / 2, delta, damping)  # the limit is twice the neutral softness or more
-    if not candidate.any():
-        return None
-    wave = 2 * np.abs(np.fft.rfft(road.profile.sample(road.length, 2 * highest + 1), norm="forward"))[1:]
-    candidate &= wave > 1e-14 * wave.max()
     if not candidate.any():
         return None
     k, wave = k[candidate], wave[candidate]

@@ -5,6 +5,8 @@ Heights in g/omega_0^2, lengths in v/omega_0, wavenumbers in omega_0/v.
 
 from __future__ import annotations
 
+import cmath
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -68,6 +70,14 @@ class Sine:
         turns = waves * np.arange(nodes) % nodes / nodes  # angles of many turns would lose digits
         return self.amplitude * np.sin(2 * np.pi * turns + self.phase % (2 * np.pi))
 
+    def spectrum(self, length: float, nodes: int) -> np.ndarray:
+        """Fourier coefficients of waves 0, 1, ... of `sample`, shape (nodes // 2 + 1,)."""
+        waves = self.highest_wave(length)
+        _resolved(waves, nodes)
+        coefficients = np.zeros(nodes // 2 + 1, dtype=complex)
+        coefficients[waves] = cmath.rect(0.5 * self.amplitude, (self.phase - 0.5 * math.pi) % (2 * math.pi))
+        return coefficients
+
 
 @dataclass(frozen=True)
 class Noise:
@@ -98,6 +108,10 @@ class Noise:
 
     def sample(self, length: float, nodes: int) -> np.ndarray:
         """Heights at x = 0, dx, ..., shape (nodes,)."""
+        return np.fft.irfft(self.spectrum(length, nodes), n=nodes, norm="forward")
+
+    def spectrum(self, length: float, nodes: int) -> np.ndarray:
+        """Fourier coefficients of waves 0, 1, ..., shape (nodes // 2 + 1,)."""
         waves = self.highest_wave(length)
         _resolved(waves, nodes)
         stream = np.random.default_rng(np.random.SeedSequence(self.seed))
@@ -105,7 +119,7 @@ class Noise:
         coefficients = np.zeros(nodes // 2 + 1, dtype=complex)
         coefficients[1 : waves + 1] = drawn[:, 0] + 1j * drawn[:, 1]
         rms = np.sqrt(2 * np.sum(np.abs(coefficients) ** 2))
-        return np.fft.irfft(coefficients * (self.rms / rms * nodes), n=nodes)
+        return coefficients * (self.rms / rms)
 
 
 @dataclass(frozen=True)
@@ -146,6 +160,12 @@ class Heights:
         """Heights at x = 0, dx, ..., shape (nodes,); exactly the given ones if there are as many."""
         if nodes == len(self.values):
             return np.asarray(self.values)
+        return np.fft.irfft(self.spectrum(length, nodes), n=nodes, norm="forward")
+
+    def spectrum(self, length: float, nodes: int) -> np.ndarray:
+        """Fourier coefficients of waves 0, 1, ..., shape (nodes // 2 + 1,)."""
+        if nodes == len(self.values):
+            return np.fft.rfft(self.values, norm="forward")
         spectrum = self._spectrum()
         waves = spectrum.size - 1
         _resolved(waves, nodes)
@@ -153,7 +173,7 @@ class Heights:
             spectrum[waves] /= 2  # the shortest wave of an even grid stands for a pair of waves
         coefficients = np.zeros(nodes // 2 + 1, dtype=complex)
         coefficients[: waves + 1] = spectrum
-        return np.fft.irfft(coefficients, n=nodes, norm="forward")
+        return coefficients
 
 
 PROFILES = {"sine": Sine, "noise": Noise, "heights": Heights}

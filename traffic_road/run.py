@@ -118,7 +118,10 @@ def _refuse_progress(progress) -> None:
 
 def _times(scene, samples) -> np.ndarray:
     if isinstance(samples, int) or np.ndim(samples) == 0:
-        return np.linspace(0.0, scene.duration, whole("samples", samples, 2, MOST_SAMPLES))
+        count = whole("samples", samples, 2, MOST_SAMPLES)
+        times = np.arange(count) * (scene.duration / (count - 1))
+        times[-1] = scene.duration
+        return times
     times = np.asarray(samples, dtype=float)
     if (
         times.ndim != 1
@@ -204,13 +207,16 @@ def _run(keeper, progress):
             estimate_time = clock.perf_counter() - begin
         else:
             error, method, estimate_time = float("inf"), "none: the run diverged", 0.0
-        finer = module.finer(scene, numerics, given)
-        if chosen and name == "cars" and error > tolerance:
-            # no further than order 1 asks for: the plan was near already
-            finer = module.finer(scene, numerics, given, min(2.0, error / (MARGIN * tolerance)))
+        if not error > tolerance or outside or status != "ok":
+            break
         if chosen and not chosen["error"] <= tolerance:
             finer = numerics  # the plan has tried finer ones
-        if not error > tolerance or outside or status != "ok" or (finer == numerics and given and error < np.inf):
+        elif chosen and name == "cars":
+            # no further than order 1 asks for: the plan was near already
+            finer = module.finer(scene, numerics, given, min(2.0, error / (MARGIN * tolerance)))
+        else:
+            finer = module.finer(scene, numerics, given)
+        if finer == numerics and given and error < np.inf:
             break
         if attempt == REFINEMENTS or finer == numerics:
             told = f"{error:.2g}" if error < np.inf else f"infinite ({method})"

@@ -19,6 +19,7 @@ import netCDF4
 import numpy as np
 import pandas as pd
 import xarray as xr
+from xarray.core.indexing import PandasIndexingAdapter
 
 from .errors import StoreError, TrafficRoadError, shown
 from .scales import HEIGHT, LENGTH, RATE, SINK_RATE, TIME, VELOCITY
@@ -133,8 +134,9 @@ def dataset(scene: Scene, model: str, numerics: dict, columns: dict, outcome: di
     indexes = {}
     for name, values in axes.items():
         index = pd.Index(values, name=name)
-        variables[name] = xr.IndexVariable((name,), index, describe(name), fastpath=True)
-        indexes[name] = xr.indexes.PandasIndex(index, name, coord_dtype=values.dtype)
+        indexes[name] = xr.indexes.PandasIndex(index, name, coord_dtype=values.dtype, fastpath=True)
+        data = PandasIndexingAdapter(index, values.dtype)
+        variables[name] = xr.IndexVariable((name,), data, describe(name), fastpath=True)
     attributes = provenance(scene, f"Corrugation of a road, {model} model")
     attributes |= {"model": model, "numerics": json.dumps(numerics)} | outcome
     sizes = {name: values.size for name, values in axes.items()}

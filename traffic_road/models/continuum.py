@@ -41,8 +41,12 @@ from .continuum_state import Continuum, Kinds, base_wave, constant, linear_throu
 KEYWORDS = ("nodes", "step")
 RESOLVED = 0.625  # of `resolving`: a grid with room for that wave, and a quarter more
 PAIR_RATIO = 2.0  # a pair of runs differs by 3 times the error of the better one at order 2, by more at order 4
+# When, in steps, the first of them end, and how long these are: cars that fly from the start swing about their way through
+# the air, by their own frequency, until their damping has ended that; the steps that follow need to resolve it no more.
+BEGINNING = (0.5, 0.125), (1.5, 0.25), (3.5, 0.5)
 LONG_STEP = 8  # default steps: in longer ones cars take off and land, and longer still say too little of their error
-HALF = 0.7  # of the nodes, at most, that a run compared with may have
+FEWER = 0.6  # of the nodes has a run that is compared with: where cars fly its error is 5 times as large, by its order of 3.3
+MOST = 0.75  # of the nodes that it may have where the profile needs more, or steps are half as long: twice as large
 LARGEST = 2e9  # multiplications in one product of all matrices: about a minute for a rebuild
 MOST_STEPS = 1e10
 MOST_WAVES = 64  # that are looked at for the longest step
@@ -137,23 +141,25 @@ def resolving(scene) -> int:
 
 
 def coarser(scene, numerics: dict) -> dict | None:
-    """Twice the step and half the nodes, or the somewhat more that the profile needs.
+    """A cheaper run to compare with: FEWER of the nodes, or the somewhat more that the profile needs, and twice every step.
 
-    None where that would say too little: both grids miss what cars answer to, the profile needs nearly all the nodes,
-    both hold as many harmonics of its waves, all of which are multiples of one, the run is of one step, which none is longer
-    than, or steps are too long for any order (a finer run is then still no dearer than one of default steps).
+    Half of every step, and MOST of the nodes, where steps are too long for any order and twice would say too little. None
+    where fewer nodes would, too, and such a run ends before it has come to its full step: both grids miss what cars
+    answer to, the profile needs nearly all the nodes, or both hold as many harmonics of its waves, all multiples of one.
     The step may be beyond `longest_step`: half of it is as wrong as that run tells, where a finer one would say too little.
     """
-    if numerics["step"] > LONG_STEP * default_step(scene) or steps_between(0.0, scene.duration, numerics["step"]) == 1:
+    step, most = numerics["step"], MOST * numerics["nodes"]
+    if scene.duration < BEGINNING[-1][0] * step:
         return None
+    long = step > LONG_STEP * default_step(scene)
     spectrum = start(scene, numerics["nodes"]).spectrum
     (waves,) = present(spectrum).nonzero()
-    nodes = max(numerics["nodes"] // 2, 2 * int(waves.max(initial=0)) + 1)
+    nodes = max(int(most if long else FEWER * numerics["nodes"]), 2 * int(waves.max(initial=0)) + 1)
     base = base_wave(spectrum)
     blind = (modes(nodes) - 1) // base == (modes(numerics["nodes"]) - 1) // base
-    if blind or numerics["nodes"] < RESOLVED * resolving(scene) or nodes > HALF * numerics["nodes"]:
+    if blind or numerics["nodes"] < RESOLVED * resolving(scene) or nodes > most:
         return None
-    return {"nodes": nodes, "step": 2 * numerics["step"]}
+    return {"nodes": nodes, "step": step / 2 if long else 2 * step, "unit": step}
 
 
 def finer(scene, numerics: dict, given: dict) -> dict:
@@ -163,15 +169,28 @@ def finer(scene, numerics: dict, given: dict) -> dict:
 
 
 def fitted(times, numerics: dict) -> dict:
-    """With the longest `step` that is taken where equal ones lead from one sample to the next."""
-    times = np.asarray(times, dtype=float)
-    step = float(np.max(np.diff(times) / steps_between(times[:-1], times[1:], numerics["step"])))
-    return numerics | {"step": step} if step < (1 - 1e-9) * numerics["step"] else numerics
+    """With the longest `step` that is taken where equal ones lead from one sample to the next, shorter ones from the start."""
+    step, times = numerics["step"], np.asarray(times, dtype=float)
+    gaps = times[1:] - times[:-1]
+    counts = np.maximum(1.0, np.ceil(gaps / step * (1 - 1e-12)))
+    start = BEGINNING[-1][0]
+    if gaps[0] > start * step:
+        counts[0] = start + max(1, math.ceil((gaps[0] / step - start) * (1 - 1e-12)))
+    longest = float(np.max(gaps / counts))
+    return numerics | {"step": longest} if longest < (1 - 1e-9) * step else numerics
 
 
-def steps_between(now, time, step: float):
-    """Fewest equal steps that are no longer than `step`, but for rounding; broadcasts."""
-    return np.maximum(1, np.ceil((time - now) / step * (1 - 1e-12)))
+def stage(now: float, time: float, step: float, unit: float) -> tuple[float, int]:
+    """Until when equal steps lead, `time` at most, and how many: the fewest that are no longer than `step` or, at the start
+    of a run, than shares of it, but for rounding. unit: what BEGINNING counts in, the `step` of the run or of that which it
+    is compared with."""
+    for end, share in BEGINNING:
+        if now < (1 - 1e-9) * end * unit:
+            if time > (1 + 1e-9) * end * unit:
+                time = end * unit
+            step *= share
+            break
+    return time, max(1, math.ceil((time - now) / step * (1 - 1e-12)))
 
 
 def sample_times(scene, times, numerics: dict) -> np.ndarray:
@@ -183,53 +202,52 @@ def samples(scene, times, numerics: dict, state: dict | None = None):
     """Yield a Sample at each of `times` (increasing, from 0); fields on x = j length/nodes, shape (nodes,).
 
     With several kinds of car `car_height` is the mean over the cars and `contact_force` the mean of mass times force.
-    Equal steps, none longer than `step`, lead from one sample to the next; they are counted, but taken all in one where
-    that is exact. An overflowed state is yielded as it is. Between samples a Breath, see `models`; `state` is that of one.
+    Equal steps, none longer than `step`, lead from one sample to the next, shorter ones from the start (BEGINNING); they
+    are counted, but taken all in one where that is exact. An overflowed state is yielded as it is. Between samples a
+    Breath, see `models`; `state` is that of one.
     """
     continuum = Continuum(scene, numerics["nodes"])
     always_linear = linear_throughout(scene, numerics["nodes"], float(times[-1]))
 
     def leave():
-        run = {"taken": taken, "now": now, "updates": updates, "steps": steps, "left": left, "length": length}
-        return run | continuum.leave()
+        return {"taken": taken, "until": until, "updates": updates, "left": left, "length": length} | continuum.leave()
 
     def heights():
         return continuum.fields()[0]
 
-    taken = updates = steps = left = 0  # steps between two samples, and how many of them are left
-    now = length = 0.0
+    unit = numerics.get("unit", numerics["step"])
+    taken = updates = left = 0  # left: of the equal steps that lead to the time `until`
+    until = length = 0.0
     if state is not None:
-        taken, now, updates, steps, left, length = (
-            state[k] for k in ("taken", "now", "updates", "steps", "left", "length")
-        )
+        taken, until, updates, left, length = (state[k] for k in ("taken", "until", "updates", "left", "length"))
         continuum.take_up(state)
     pace, batch = Pace(), max(1, FIRST_BATCH // numerics["nodes"])
     for time in map(float, times[taken:]):
-        if time > now and not left:
-            steps = int(steps_between(now, time, numerics["step"]))
-            updates += steps * numerics["nodes"]
-            # not asked again for the whole run
-            linear = always_linear or (time - now < times[-1] and continuum.stays_linear(time - now))
-            steps = left = 1 if linear else steps
-            length = (time - now) / steps
-            if abs(length - continuum.step) * steps <= 8 * np.finfo(float).eps * time:
-                length = continuum.step  # the same but for the rounding of `times`: keep the matrices
-            if linear:
+        now = until - left * length
+        # not asked again for the whole run
+        if not left and (always_linear or (0 < time - now < times[-1] and continuum.stays_linear(time - now))):
+            while until < time:
+                until, steps = stage(until, time, numerics["step"], unit)
+                updates += steps * numerics["nodes"]
+            if time > now:
+                length = continuum.as_before(time - now, time)
                 continuum.leap(length)
-                left = 0
-        while left:
+        while left or until < time:
+            if not left:
+                now = until
+                until, left = stage(now, time, numerics["step"], unit)
+                updates += left * numerics["nodes"]
+                length = continuum.as_before((until - now) / left, time / left)
             begin, some = perf_counter(), min(batch, left)
             continuum.advance(length, some)
             left -= some
-            batch *= 2 if perf_counter() - begin < LONGEST_BATCH else 1
+            batch *= 2 if some == batch and perf_counter() - begin < LONGEST_BATCH else 1
             if left and pace.due():
-                yield Breath(now + (steps - left) * length, leave, heights)
-        now += steps * length
-        steps = 0
+                yield Breath(until - left * length, leave, heights)
         yield Sample(time, *continuum.fields(), None, updates)
         taken += 1
         if taken < len(times) and pace.due():
-            yield Breath(now, leave, heights)
+            yield Breath(until, leave, heights)
 
 
 @lru_cache(maxsize=4)

@@ -1,7 +1,7 @@
 """Compiled loops of the continuum model, on plain arrays: the remainder N at a point, and whole steps on few modes.
 
-The clip costs no accuracy. Where q = omega^2 Y - 1, a short Fourier series, changes sign is found to rounding; the
-Fourier coefficients chi_j of the indicator of flight (q > 0) follow in closed form,
+The clip costs no accuracy. Where q = omega^2 Y - 1, a short Fourier series, changes sign is found as exactly as the clip
+can tell; the Fourier coefficients chi_j of the indicator of flight (q > 0) follow in closed form,
 
     chi_0 = flight at theta = 0 - sum_r s_r theta_r / 2 pi,      chi_j = sum_r s_r exp(-i j theta_r) / (2 pi i j),
 
@@ -23,7 +23,8 @@ from ..schemes.exponential import POLYNOMIAL
 from ..schemes.passage import softness
 
 COMPILE = {"cache": True, "error_model": "numpy", "fastmath": {"contract", "reassoc"}}  # NaN stays NaN
-MOST_ROOT_STEPS = 60  # Halley takes 2 or 3; bisection alone would take 50
+MOST_ROOT_STEPS = 60  # Halley takes 1 to 3; bisection alone would take 50
+CLOSE = 1e-5  # radians; the clip is 0 at a root, and so knows of its error but the square
 
 
 @njit(**COMPILE)
@@ -106,7 +107,7 @@ def _root(series, low, high, at_low, at_high):
         else:
             low = theta
         target = theta - 2.0 * value * slope / (2.0 * slope * slope - value * bend)
-        enough = 1e-7  # the next correction is of the order of the cube of this one
+        enough = CLOSE  # the next correction is of the order of the cube of this one
         if not low <= target <= high:
             target, enough = 0.5 * (low + high), 4e-16
         moved = abs(target - theta)
@@ -133,28 +134,26 @@ def roots_of(series, values, roots, signs):
     points = values.size
     width = 2 * math.pi / points
     count = 0
-    here, after = values[0], values[1]
-    shift_of_here = _beyond(values[-1], here, after)
+    before, here = values[-1], values[0]
     for j in range(points):
-        later = values[j + 2 - (points if j + 2 >= points else 0)]
-        shift_of_after = _beyond(here, after, later)
-        low, high = j * width, (j + 1) * width
+        after = values[j + 1 if j + 1 < points else 0]
         if (here > 0.0) != (after > 0.0):
-            roots[count] = _root(series, low, high, here, after)
+            roots[count] = _root(series, j * width, (j + 1) * width, here, after)
             signs[count] = 1.0 if after > 0.0 else -1.0
             count += 1
-        else:
-            shift = shift_of_here if shift_of_here >= 0.0 else 1.0 + shift_of_after
-            if shift <= 1.0:
-                theta = low + shift * width
+        if here * before > 0.0 and here * after > 0.0 and abs(here) <= min(abs(before), abs(after)):
+            shift = _beyond(before, here, after)
+            if shift == shift:
+                theta = (j + shift) * width
                 vertex, _, _ = _at(series, theta)
                 if (vertex > 0.0) != (here > 0.0):
-                    roots[count] = _root(series, low, theta, here, vertex)
-                    roots[count + 1] = _root(series, theta, high, vertex, after)
+                    low, at_low, at_high = (j - 1, before, here) if shift < 0.0 else (j, here, after)
+                    roots[count] = _root(series, low * width, theta, at_low, vertex)
+                    roots[count + 1] = _root(series, theta, (low + 1) * width, vertex, at_high)
                     signs[count] = 1.0 if vertex > 0.0 else -1.0
                     signs[count + 1] = -signs[count]
                     count += 2
-        here, after, shift_of_here = after, later, shift_of_after
+        before, here = here, after
     return count
 
 
@@ -254,6 +253,16 @@ def parts(waves):
         for m in range(waves.shape[1]):
             series[i, 0, m], series[i, 1, m] = waves[i, m].real, waves[i, m].imag
     return series
+
+
+@njit(**COMPILE)
+def on_nodes(waves, nodes):
+    """Values (rows, nodes) of complex waves (rows, modes)."""
+    series, values = parts(waves), np.empty((waves.shape[0], nodes))
+    cosine, sine = table(waves.shape[1], nodes)
+    for i in range(waves.shape[0]):
+        _synthesise(series[i], cosine, sine, values[i])
+    return values
 
 
 @njit(**COMPILE)

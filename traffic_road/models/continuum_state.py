@@ -17,8 +17,10 @@ from . import continuum_waves as waves
 OVERSAMPLING = 4
 FEW_NODES = 512  # up to which compiled sums over the waves take the place of transforms, and the clip is exact
 FEW_NODES_VARYING = 128  # the same where laws vary, so that all waves of the fine grid take part
+SHORT = 64  # nodes up to which compiled sums take less time than the call of a transform
 DRIFT = 0.1  # of a reference value, at which the matrices are rebuilt
 RESOLVED = 1e-3  # drift in one step below which the remainder, fifth power of it, is below rounding: no need to rebuild
+EPS = float(np.finfo(float).eps)
 TOO_LARGE = 1e100  # a law on its way to overflow: the matrices of the last sane one will do
 
 
@@ -77,7 +79,7 @@ class Start(NamedTuple):
 @np.errstate(all="ignore")  # here and below: what overflows stays non-finite, without a warning
 def start(scene, nodes: int) -> Start:
     road, kinds = scene.road, Kinds.of(scene.fleet)
-    spectrum = rfft(road.profile.sample(road.length, nodes), norm="forward")
+    spectrum = road.profile.spectrum(road.length, nodes)
     k = 2 * np.pi / road.length * np.arange(modes(nodes))
     state = np.zeros((1 + 2 * len(kinds.speed), k.size), dtype=complex)
     state[0] = spectrum[: k.size]
@@ -150,9 +152,15 @@ class Continuum:
 
     def build(self, step: float) -> None:
         """Solve the linear part, of every wave, over `step` and half of it."""
-        self.step = step
         self.half = exact(*self.linear, step / 2)
-        self.full = doubled(self.half)
+        self.step, self.full = step, doubled(self.half)
+
+    def as_before(self, step: float, most: float) -> float:
+        """The step that is known, or twice that, where `step` is the same but for the rounding of a time `most`."""
+        for known in (self.step, 2 * self.step):
+            if abs(step - known) <= 8 * EPS * most:
+                return known
+        return step
 
     def leave(self) -> dict:
         """All that is needed to go on as if nothing had been."""
@@ -179,9 +187,11 @@ class Continuum:
         # most often the largest wave alone decides at once
         if np.any(self.square[:, None] * np.abs(self.state[Y]) >= 1):
             return False
-        if self.decay is None:
-            self.decay = eigenvectors(self.linear[0])
-        state = self.state.copy()
+        moving = self.state.any(axis=0)  # a profile of one wave has no other
+        moving[0] = True
+        if self.decay is None or self.decay[0].shape[0] != np.count_nonzero(moving):
+            self.decay = eigenvectors(self.linear[0][moving])
+        state = self.state[:, moving]
         state[1 + self.count :, 0] += self.alpha * self.weight.sum()  # about cars at rest on a road that sinks
         state[0, 0] = 0.0
         return stays_below(1 / self.square, self.decay, state, Y, duration)
@@ -236,8 +246,10 @@ class Continuum:
         if drifted:
             self.alpha, self.delta = alpha, delta
             self.linear = waves.linear_part(self.k, *self.kinds[:3], self.weight, self.alpha, self.delta)
-        if drifted or step != self.step or self.half is None:
+        if drifted or self.half is None or step not in (self.step, 2 * self.step):
             self.build(step)
+        elif step != self.step:  # as run of steps that grow from its start
+            self.step, self.half, self.full = step, self.full, doubled(self.full)
 
     @np.errstate(all="ignore")
     def leap(self, duration: float) -> None:
@@ -266,5 +278,9 @@ class Continuum:
     @np.errstate(all="ignore")
     def fields(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Road height, mean car height, mean of mass times contact force, on the nodes."""
-        values = irfft(self.state[: 1 + self.count], n=self.nodes, norm="forward")
+        waves_of_both = self.state[: 1 + self.count]
+        if self.nodes <= SHORT:
+            values = kernels.on_nodes(waves_of_both, self.nodes)
+        else:
+            values = irfft(waves_of_both, n=self.nodes, norm="forward")
         return waves.fields(values, self.square, self.kinds.share, self.weight, self.lift_off)

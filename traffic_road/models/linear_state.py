@@ -13,9 +13,8 @@ there are cars, but spread evenly in time; steps between nodes passed a differen
 from __future__ import annotations
 
 import numpy as np
-from scipy.linalg import expm
 
-from ..schemes.exponential import SMALL, exponentials
+from ..schemes.exponential import exponentials
 from ..schemes.oscillator import settled
 from ..theory.dispersion import mode_matrix
 from ..theory.floquet import relaxation_matrix, sweep_map
@@ -171,8 +170,7 @@ class MeanField:
 
     def after(self, y, span: float) -> np.ndarray:
         if span not in self.propagators:
-            size = self.rates.shape[-1]
-            self.propagators[span] = (exponentials if size <= SMALL else expm)(span * self.rates)
+            self.propagators[span] = exponentials(span * self.rates)
         return (self.propagators[span] @ y[..., None])[..., 0]
 
     def advance(self, y, now: float, time: float):

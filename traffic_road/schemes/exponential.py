@@ -13,11 +13,14 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from numba import uint64
 from scipy.linalg import expm
 
 from ..compiled import njit
 
-DEGREE = 18  # of the Taylor polynomial for norms up to 1: 1/19! is below rounding
+HALVED = 3  # Taylor's series is of norms up to 2^-HALVED,
+DEGREE = 9  # and ends with this power: 8^-10/10! is about a rounding
+INVERSE_FACTORIALS = np.array([1.0 / math.factorial(n) for n in range(DEGREE + 4)])
 LOOK = 0.5  # how far `stays_below` looks ahead at a time, and how often
 MOST_LOOKS = 100
 SAFE = 0.1  # step times the rate at which N acts, below which no step of cars has been found to grow
@@ -41,102 +44,133 @@ def exact(system: np.ndarray, source: np.ndarray, step: float) -> np.ndarray:
 
     `system` (systems, size, size) is L, `source` (size,) is b, the direction in which the remainder acts.
     """
-    augmented = _augmented(system, source, step)
-    exponential = exponentials(augmented) if augmented.shape[1] <= SMALL else expm(augmented)
-    return _systems_last(exponential, system.shape[1])
-
-
-@njit(cache=True, error_model="numpy")
-def _augmented(system, source, step):
     systems, size = system.shape[:2]
+    if size <= SMALL:
+        return _solved(system, source, step, size + 3)
     augmented = np.zeros((systems, size + 3, size + 3), dtype=system.dtype)
-    for s in range(systems):
-        for i in range(size):
-            for j in range(size):
-                augmented[s, i, j] = step * system[s, i, j]
-            augmented[s, i, size] = step * source[i]
-        augmented[s, size, size + 1] = augmented[s, size + 1, size + 2] = 1.0
-    return augmented
+    augmented[:, :size, :size], augmented[:, :size, size] = step * system, step * source
+    augmented[:, size, size + 1] = augmented[:, size + 1, size + 2] = 1.0
+    return np.ascontiguousarray(expm(augmented)[:, :size].transpose(1, 2, 0))
 
 
-@njit(cache=True, error_model="numpy")
-def _systems_last(matrices, rows):
-    """The first `rows` of matrices (systems, size, size) as (rows, size, systems)."""
-    systems, size = matrices.shape[:2]
-    turned = np.empty((rows, size, systems), dtype=matrices.dtype)
-    for i in range(rows):
-        for j in range(size):
-            for s in range(systems):
-                turned[i, j, s] = matrices[s, i, j]
-    return turned
-
-
-@njit(cache=True, error_model="numpy")
-def doubled(half):
-    """`exact` over twice the step: the map applied twice, to the same polynomial of N seen from the start and from midway."""
-    size, columns, systems = half.shape
-    full = np.zeros_like(half)
-    for i in range(size):
-        for j in range(columns):
-            share = 0.5 ** max(0, j - size)
-            for k in range(size):
-                for s in range(systems):
-                    full[i, j, s] += share * half[i, k, s] * half[k, j, s]
-        for s in range(systems):  # N, its slope and its bend midway, of those at the start
-            full[i, size, s] += half[i, size, s]
-            full[i, size + 1, s] += 0.5 * half[i, size, s] + 0.5 * half[i, size + 1, s]
-            full[i, size + 2, s] += 0.125 * half[i, size, s] + 0.25 * (half[i, size + 1, s] + half[i, size + 2, s])
-    return full
-
-
-@njit(cache=True, error_model="numpy")
-def exponentials(matrices):
-    """Matrix exponentials (systems, size, size): Taylor's polynomial of the matrix scaled to norm 1, then squarings."""
+def exponentials(matrices: np.ndarray) -> np.ndarray:
+    """Matrix exponentials, (systems, size, size)."""
     size = matrices.shape[1]
-    result = np.empty_like(matrices)
-    product, scaled = np.empty_like(matrices[0]), np.empty_like(matrices[0])
-    for s in range(matrices.shape[0]):
+    if size > SMALL:
+        return expm(matrices)
+    return _solved(matrices, np.zeros(size), 1.0, size).transpose(2, 0, 1)
+
+
+@njit(cache=True, error_model="numpy")
+def _solved(system, source, step, columns):
+    """The first `columns` of `exact`: Taylor's series of steps halved until the norm is at most 2^-HALVED, which then double.
+
+    Column j < size is exp(L step) e_j, column size + p is phi_(p+1)(L step) b step; sum_n (L step)^n w/(n + q)! in either case,
+    by Horner's rule. All systems side by side, real and imaginary parts apart.
+    """
+    systems, size = system.shape[:2]
+    halvings = np.zeros(systems, np.int64)
+    real, imag = np.empty((size, size, systems)), np.empty((size, size, systems))
+    for s in range(systems):
         norm = 0.0
         for i in range(size):
             row = 0.0
             for j in range(size):
-                row += abs(matrices[s, i, j])
+                row += abs(step * system[s, i, j])
             norm = max(norm, row)
-        if not norm < 1e300:  # infinite or NaN
-            result[s] = np.nan
-            continue
-        squarings = max(0, math.ceil(math.log2(norm))) if norm > 0.0 else 0
-        power = result[s]
+        if s > 0:  # the higher a wave, the larger its norm: so that those to be doubled are always the last ones
+            halvings[s] = halvings[s - 1]
+        if 0.0 < norm < 1e300:
+            halvings[s] = max(halvings[s], math.ceil(math.log2(norm)) + HALVED)
+        scale = step * 0.5 ** halvings[s]
         for i in range(size):
             for j in range(size):
-                scaled[i, j] = matrices[s, i, j] * 0.5**squarings
-                power[i, j] = 1.0 if i == j else 0.0
-        for degree in range(DEGREE, 0, -1):  # Horner: I + A/1 (I + A/2 (I + ...))
-            _multiply(scaled, power, product)
+                real[i, j, s], imag[i, j, s] = scale * system[s, i, j].real, scale * system[s, i, j].imag
+    result = np.empty((2, size, columns, systems))
+    now, new = np.empty((2, 2, size, systems))
+    for c in range(columns):
+        q = max(0, c - size + 1)
+        now[:] = 0.0
+        for n in range(DEGREE, -1, -1):
+            share = INVERSE_FACTORIALS[n + q]
             for i in range(size):
-                for j in range(size):
-                    power[i, j] = product[i, j] * (1.0 / degree)
-                power[i, i] += 1.0
-        for _ in range(squarings):
-            _multiply(power, power, product)
-            for i in range(size):  # numba compiles power[:] = product for seconds
-                for j in range(size):
-                    power[i, j] = product[i, j]
-    return result
+                to, too = new[0, i], new[1, i]
+                if c < size:
+                    to[:] = share if i == c else 0.0
+                else:
+                    for s in range(systems):
+                        to[s] = share * source[i] * step * 0.5 ** halvings[s]
+                too[:] = 0.0
+                for k in range(size):
+                    a, b, x, y = real[i, k], imag[i, k], now[0, k], now[1, k]
+                    for s in range(uint64(systems)):
+                        to[s] += a[s] * x[s] - b[s] * y[s]
+                        too[s] += a[s] * y[s] + b[s] * x[s]
+            now, new = new, now
+        for i in range(size):
+            for s in range(uint64(systems)):
+                result[0, i, c, s], result[1, i, c, s] = now[0, i, s], now[1, i, s]
+    twice = np.empty_like(result)
+    first = 0
+    for n in range(halvings[-1]):
+        while halvings[first] <= n:
+            first += 1
+        _double(result, twice, first)
+        for i in range(size):
+            for j in range(columns):
+                for c in range(2):
+                    for s in range(uint64(first), uint64(systems)):
+                        result[c, i, j, s] = twice[c, i, j, s]
+    return _joined(result)
 
 
 @njit(cache=True, error_model="numpy")
-def _multiply(a, b, product):
-    size = len(a)
+def _double(half, full, first):
+    """full <- `half` (2, size, columns, systems) over twice the step, of systems from `first` on: the map applied twice, to
+    the same polynomial of N seen from the start and from midway."""
+    size, columns, systems = half.shape[1:]
     for i in range(size):
-        for j in range(size):
-            product[i, j] = 0.0
-        for k in range(size):
-            factor = a[i, k]
-            if factor == 0.0:  # the chain never comes back to u
-                continue
-            for j in range(size):
-                product[i, j] += factor * b[k, j]
+        for j in range(columns):
+            to, too = full[0, i, j, first:], full[1, i, j, first:]
+            share = 0.5 ** max(0, j - size)
+            to[:] = 0.0
+            too[:] = 0.0
+            for k in range(size):
+                a, b, x, y = half[0, i, k, first:], half[1, i, k, first:], half[0, k, j, first:], half[1, k, j, first:]
+                for s in range(uint64(to.size)):
+                    to[s] += share * (a[s] * x[s] - b[s] * y[s])
+                    too[s] += share * (a[s] * y[s] + b[s] * x[s])
+        for c in range(2):
+            if columns > size:  # N, its slope and its bend midway, of those at the start
+                for s in range(first, systems):
+                    n, slope, bend = half[c, i, size, s], half[c, i, size + 1, s], half[c, i, size + 2, s]
+                    full[c, i, size, s] += n
+                    full[c, i, size + 1, s] += 0.5 * n + 0.5 * slope
+                    full[c, i, size + 2, s] += 0.125 * n + 0.25 * (slope + bend)
+
+
+@njit(cache=True, error_model="numpy")
+def _joined(parts):
+    """Complex (rows, columns, systems) of their real and imaginary parts (2, rows, columns, systems)."""
+    joined = np.empty(parts.shape[1:], np.complex128)
+    for i in range(joined.shape[0]):
+        for j in range(joined.shape[1]):
+            for s in range(joined.shape[2]):
+                joined[i, j, s] = complex(parts[0, i, j, s], parts[1, i, j, s])
+    return joined
+
+
+@njit(cache=True, error_model="numpy")
+def doubled(half):
+    """`exact` over twice the step."""
+    parts = np.empty((2, *half.shape))
+    for i in range(half.shape[0]):
+        for j in range(half.shape[1]):
+            for s in range(half.shape[2]):
+                parts[0, i, j, s], parts[1, i, j, s] = half[i, j, s].real, half[i, j, s].imag
+    full = np.empty_like(parts)
+    _double(parts, full, 0)
+    return _joined(full)
 
 
 def eigenvectors(system: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
