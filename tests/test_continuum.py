@@ -285,7 +285,9 @@ def test_default_and_coarser_numerics():
     for nodes in (9, 11):  # 7 nodes would tell nothing of 9, and hold the one wave that 11 do
         assert continuum.coarser(scene, {"nodes": nodes, "step": 0.5}) is None
     zigzag = ring(10.0, profile=(0.1, -0.1))  # one wave, as samples of a grid too coarse to move it
-    assert min(continuum.numerics(zigzag, {})["nodes"], continuum.coarser(zigzag, {"nodes": 5, "step": 1.0})["nodes"]) >= 3
+    assert (
+        min(continuum.numerics(zigzag, {})["nodes"], continuum.coarser(zigzag, {"nodes": 5, "step": 1.0})["nodes"]) >= 3
+    )
     assert continuum.numerics(ring(10.0), {"nodes": 1})["nodes"] == 1
 
 
