@@ -25,7 +25,7 @@ from ..compiled import njit
 WIDTH = 32  # lanes of a panel of a large fleet: four vectors, and the rows of a relaxation in the first-level cache
 NARROW = 8  # of a fleet below MANY, one vector
 MANY = 64  # cars from which on WIDTH lanes are faster, short as they may be
-SPARSE = 2048  # rows up to which fewer cars than half of NARROW may leave most of each line of the cache unused
+SPARSE = 512  # rows up to which fewer cars than half of NARROW may leave most of each line of the cache unused
 PANEL = 2048  # cars of a panel: the road of one stays in the second-level cache, and threads share out panels
 HUGE_PAGE, LEAST_HUGE, MOST_HUGE = 2 << 20, 1 << 18, 4 << 20  # bytes
 COMPILE = {
