@@ -179,7 +179,7 @@ def memory(count, headways) -> float:
 
 def main() -> None:
     chosen = options(__doc__)
-    updates, repeats = (2e7, 2) if chosen.quick else (6e7, 48)  # short: what a machine gives changes by the second
+    updates, repeats = (4e6, 1) if chosen.quick else (6e7, 48)  # short: what a machine gives changes by the second
     sizes, durations = (SIZES[:3], DURATIONS[:2]) if chosen.quick else (SIZES, DURATIONS)
     cases = [CASES[n] for n in QUICK] if chosen.quick else CASES
     rates, bares, errors = [], [], []

@@ -46,7 +46,7 @@ def run(
     coefficients: (A, B) of a stepper. The road relaxes every `interval` headways in `parts` steps, half of it before and
     after each sample.
     """
-    A, B = coefficients
+    A, B = map(np.ascontiguousarray, coefficients)  # in one order in memory: `cross_headway` is compiled once
     cars, hold, length = scene.fleet.count, B.shape[1] - 1, scene.road.length
     nodes, alpha = cars * rows, scene.road.softness
     height = scene.road.profile.sample(length, nodes)
@@ -82,7 +82,7 @@ def run(
 def cost_of_passage(hold: int, law: tuple, from_before: bool, repeats: int = REPEATS) -> float:
     """Seconds, on a ring of 64 cars and 64 nodes a headway, all in contact."""
     rows = cars = 64
-    A, B = (c[0] for c in propagator(0.1, 1.0, 0.1, hold))
+    A, B = (np.ascontiguousarray(c[0]) for c in propagator(0.1, 1.0, 0.1, hold))
     road = 1e-3 * np.random.default_rng(0).standard_normal((rows, cars))
     Z, P, held = np.zeros(cars), np.zeros(cars), np.zeros((rows + hold, cars))
 

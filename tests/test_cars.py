@@ -523,6 +523,7 @@ def test_little_smoothing_of_a_long_road_is_the_transform(count, rows, spread):
     [
         (1, 64, 3, 0.01, 1, 0.02),
         (3, 30, 1, 0.0, 2, 0.02),
+        (2, 516, 3, 0.01, 1, 0.02),  # so long that its lanes are as few as the cars
         (13, 16, 1, 0.01, 1, 0.02),
         (40, 9, 5, 0.02, 1, 0.0),
         (515, 6, 3, 0.0, 1, tr.Exponential(0.02, 0.5)),  # beyond the range of the polynomials here and there

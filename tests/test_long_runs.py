@@ -80,12 +80,12 @@ def test_a_streamed_run_is_what_memory_holds(name, monkeypatch):
 
 
 def test_the_file_can_be_read_at_any_moment():
-    case = scene(duration=40000.0, speed=SPEEDS)
+    case = scene(duration=16000.0, speed=SPEEDS)
     case.to_toml("scene.toml")
     quick = START.replace(
         "sys.exit", "from traffic_road import keeper; keeper.FIRST = 0.02; keeper.SHARE = 0.5; sys.exit"
     )
-    command = ["run", "scene.toml", "--model", "cars", "-o", "out.nc", "--samples", "20001", "--nodes", "64"]
+    command = ["run", "scene.toml", "--model", "cars", "-o", "out.nc", "--samples", "8001", "--nodes", "64"]
     seen = []
     with started(*command, start=quick) as run:
         while run.poll() is None:
@@ -97,7 +97,7 @@ def test_the_file_can_be_read_at_any_moment():
     sizes = [size for size, _ in seen]
     assert sizes == sorted(sizes) and len(set(sizes)) > 5
     assert "unfinished: has reached time" in seen[0][1] and tr.open("out.nc").status == "ok"
-    assert tr.open("out.nc").time.size == 20001
+    assert tr.open("out.nc").time.size == 8001
 
 
 def test_memory_does_not_grow_with_the_number_of_samples():

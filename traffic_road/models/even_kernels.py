@@ -67,8 +67,9 @@ def _beyond(road, at, rows, width, lanes, level, reach):
 
 
 @njit(**COMPILE)
-def _carefully(road, at, rows, width, lanes, state, car, counts, counted, hold, c, law, least):
+def _carefully(road, at, rows, width, lanes, state, car, counts, counted, c, law, least):
     """Rows of a block crossed node by node and car by car, each passage by iteration, where the series will not do."""
+    hold = c.size - 4
     w = np.zeros(hold + 2)  # w_1.. from index 1 on, and the constant after the last
     w[hold + 1] = c[0]
     for i in range(lanes):
@@ -155,6 +156,7 @@ def _make_sweep(width, hold, kind, unroll, parallel, always, short):
         saved, tallied = aligned(layout.panels * room), np.empty(layout.panels * width, dtype=np.int64)
         deepest = min(DEEPEST, tiles)
         end_of_all = first + count
+        piece = np.int64(unroll)  # no constant: `_carefully` would be compiled for each
         for part in range(2 * ((count + deepest - 1) // deepest)):
             wedge, done = part % 2 == 0, first + part // 2 * deepest
             headways = min(deepest, end_of_all - done)
@@ -175,7 +177,7 @@ def _make_sweep(width, hold, kind, unroll, parallel, always, short):
                             continue
                         if kind == EXPONENTIAL:
                             start = row_of(panel, tile * rows, layout)
-                            beyond = _beyond(road, start, rows, width, lanes, level, reach)
+                            beyond = _beyond(road, start, rows, layout.width, lanes, level, reach)
                         for headway in range(low, high):
                             car = uint64(panel * tiles + (tile - headway - done) % tiles) * size
                             if paired and lanes == width:
@@ -260,9 +262,10 @@ def _make_sweep(width, hold, kind, unroll, parallel, always, short):
                                         copy(state, car + uint64(n) * W1, saved, kept + (unroll + n) * width, lanes)
                                     copy(counts, counted, tallied, counted, lanes)
                                     _carefully(
-                                        road, at, unroll, width, lanes, state, int(car), counts, counted, hold, c, law, least
+                                        road, int(at), piece, layout.width, lanes, state, int(car), counts, counted,
+                                        c, law, least,
                                     )  # fmt: skip
-                                    beyond = _beyond(road, start, rows, width, lanes, level, reach)
+                                    beyond = _beyond(road, start, rows, layout.width, lanes, level, reach)
             if wedge:
                 hand_over(state, done + 1, done + headways, layout, spare)
             else:

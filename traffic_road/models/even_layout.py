@@ -25,6 +25,7 @@ from ..compiled import njit
 WIDTH = 32  # lanes of a panel of a large fleet: four vectors, and the rows of a relaxation in the first-level cache
 NARROW = 8  # of a fleet below MANY, one vector
 MANY = 64  # cars from which on WIDTH lanes are faster, short as they may be
+SPARSE = 512  # rows up to which fewer cars than half of NARROW may leave most of each line of the cache unused
 PANEL = 2048  # cars of a panel: the road of one stays in the second-level cache, and threads share out panels
 HUGE_PAGE, LEAST_HUGE, MOST_HUGE = 2 << 20, 1 << 18, 4 << 20  # bytes
 COMPILE = {
@@ -51,7 +52,7 @@ class Layout(NamedTuple):
 
 
 def layout(count: int, rows: int, margin: int = 0) -> Layout:
-    width = WIDTH if count >= MANY else NARROW if count >= NARROW // 2 else 1
+    width = WIDTH if count >= MANY else NARROW if count >= NARROW // 2 or rows <= SPARSE else 1
     panels = 1 << max(0, (count // PANEL).bit_length() - 1)
     lanes = min(count, width * panels)
     tiles = -(-count // lanes)

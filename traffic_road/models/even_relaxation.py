@@ -135,7 +135,7 @@ def _depth(way, layout) -> int:
 
 def _weights(scene, nodes, layout, headways):
     """passes and weights of `_make_relax`; None where the road is relaxed as a line."""
-    if nodes <= SHORT_RING or layout.width == 1 or not isinstance(scene.road.diffusivity, Constant):
+    if nodes <= SHORT_RING or layout.count < NARROW // 2 or not isinstance(scene.road.diffusivity, Constant):
         return None
     spread = _spread(scene, nodes, headways)
     most = deepest(spread)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numpy as np
 from numba import prange, uint64
 
 from ..compiled import njit
@@ -52,8 +53,9 @@ def _fill(road, panel, depth, layout):
     rows, width, span = layout.rows, layout.width, layout.tiles * layout.rows
     lanes = min(width, layout.lanes - panel * width)
     longs = min(max(0, layout.long - panel * width), lanes)
+    begin = np.int64(0)  # no constant: `_row_before` would be compiled for it once more
     for d in range(1, depth + 1):
-        _row_before(road, -d, span - d, panel, 0, longs, layout)
+        _row_before(road, -d, span - d, panel, begin, longs, layout)
         _row_before(road, -d, span - rows - d, panel, longs, lanes, layout)
         _row_behind(road, span + d - 1, d - 1, rows + d - 1, panel, layout)
 
@@ -68,9 +70,9 @@ def _make_surround(parallel):
         _ = parallel  # read, since only what is read tells compiled loops on the disk apart
         if layout.long < layout.lanes:
             for panel in prange(layout.panels):
-                _lend(road, panel, layout)
+                _lend(road, np.int64(panel), layout)
         for panel in prange(layout.panels):
-            _fill(road, panel, depth, layout)
+            _fill(road, np.int64(panel), depth, layout)
 
     return surround
 

@@ -217,7 +217,7 @@ def plan(until, nodes, order, place, crossed, first_due, step, number, spare, to
     base = top[0]
     events, time = np.empty((64, 3), np.int64), np.empty(64)
     most = (order.size + LANES - 1) // LANES
-    total = end = 0
+    total = end = np.int64(0)  # with a plain 0 all that is called below would be compiled for that constant, too
     while end < order.size:
         # cars that have nothing to do with those before and behind: no common nodes
         first, beyond = end, reach[order[end]]

@@ -74,7 +74,7 @@ def overtakes(first, end, order, after, place, crossed, first_due, step, number,
     """Of the cars of ranks first..end; after <- those in ascending order at the end. `events`, rows
     (overtaker, overtaken, node) in the order of time, their times, replaced where they are too short, and their number."""
     after[first] = order[first]
-    found = 0
+    found = np.int64(0)  # no constant, for which what is called would be compiled, too
     for r in range(first + 1, end):
         car = order[r]
         s = r

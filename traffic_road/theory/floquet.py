@@ -175,13 +175,20 @@ def nearest_eigenpair(matrix, guess) -> tuple[complex, np.ndarray]:
 def _inverse_iteration(matrix, guess):
     """Eigenvalue, vector of norm 1 and residual. Compiled: threads of BLAS take longer to wake than matrices so small."""
     size = matrix.shape[0]
-    a = matrix.copy()
+    a, order = matrix.copy(), np.empty(size, np.int64)
+    # entry by entry: what numpy does with whole arrays takes seconds to compile
+    largest = 0.0
     for i in range(size):
+        for j in range(size):
+            largest = max(largest, np.abs(a[i, j]))
         a[i, i] -= guess
-    order = np.arange(size)
-    lost = max(np.finfo(np.float64).eps * np.abs(matrix).max(), np.finfo(np.float64).tiny)
+        order[i] = i
+    lost = max(np.finfo(np.float64).eps * largest, np.finfo(np.float64).tiny)
     for n in range(size):  # LU with row pivots
-        pivot = n + np.argmax(np.abs(a[n:, n]))
+        pivot = n
+        for i in range(n + 1, size):
+            if np.abs(a[i, n]) > np.abs(a[pivot, n]):
+                pivot = i
         if pivot != n:
             for j in range(size):
                 a[n, j], a[pivot, j] = a[pivot, j], a[n, j]
@@ -195,12 +202,13 @@ def _inverse_iteration(matrix, guess):
             if factor != 0:
                 for j in range(n + 1, size):
                     a[i, j] -= factor * a[n, j]
-    vector = np.exp(2j * np.pi * np.sqrt(2) * np.arange(size) ** 2) / np.sqrt(
-        size
-    )  # no symmetry that a mode could lack
+    vector, image = np.empty(size, np.complex128), np.empty(size, np.complex128)
+    for i in range(size):  # no symmetry that a mode could lack
+        vector[i] = np.exp(2j * np.pi * np.sqrt(2) * i**2) / np.sqrt(size)
     value = np.inf + 0j
     for _ in range(MOST_ITERATIONS):
-        image = vector[order]
+        for i in range(size):
+            image[i] = vector[order[i]]
         for i in range(1, size):
             for j in range(i):
                 image[i] -= a[i, j] * image[j]
@@ -208,11 +216,19 @@ def _inverse_iteration(matrix, guess):
             for j in range(i + 1, size):
                 image[i] -= a[i, j] * image[j]
             image[i] /= a[i, i]
-        last, value = value, guess + 1 / np.sum(np.conj(vector) * image)
-        vector = image / np.sqrt(np.sum(np.abs(image) ** 2))
+        along, norm = 0j, 0.0
+        for i in range(size):
+            along += np.conj(vector[i]) * image[i]
+            norm += np.abs(image[i]) ** 2
+        last, value = value, guess + 1 / along
+        for i in range(size):
+            vector[i] = image[i] / np.sqrt(norm)
         if not abs(value - last) > SETTLED * abs(value):
             break
     residual = 0.0
     for i in range(size):
-        residual += np.abs(np.sum(matrix[i] * vector) - value * vector[i]) ** 2
+        row = -value * vector[i]
+        for j in range(size):
+            row += matrix[i, j] * vector[j]
+        residual += np.abs(row) ** 2
     return value, vector, np.sqrt(residual)
