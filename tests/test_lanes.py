@@ -1,10 +1,14 @@
-"""Copies that numba does not check for bounds: against numpy's, with a guard of NaN on either side of every array."""
+"""Copies and filters that numba does not check for bounds: against numpy's, a guard of NaN on either side of every array."""
 
 import numpy as np
 import pytest
 
-from traffic_road.models.lanes import LANES
+import traffic_road as tr
+from traffic_road.models.lane_filters import FIRST, MORE, down, smooth, up
+from traffic_road.models.lanes import ABREAST, LANES
+from traffic_road.models.line_relaxation import LEAST, LineRelaxation, relax_by_levels
 from traffic_road.models.mixed_kernels import ROWS, _copy_nodes
+from traffic_road.schemes.relaxation import LOW_PASS
 
 GUARD = 512
 
@@ -51,3 +55,56 @@ def test_nodes_go_into_the_table_and_back(nodes, count):
                 reached[(int(start[n]) + np.arange(first, min(first + ROWS, int(length[n])))) % nodes] = True
             np.testing.assert_array_equal(road, np.where(reached, wanted + 0.5, -2.0))
             assert untouched(road, all_of_it) and untouched(table, all_rows)
+
+
+def filtered(rows, weights):
+    """Rows that have as many neighbours on either side as there are weights, after a symmetric band; in numpy."""
+    whole = np.concatenate((weights[:0:-1], weights))
+    return np.apply_along_axis(np.convolve, 0, rows, whole, "valid")
+
+
+@pytest.mark.parametrize("count", [1, 4, 5, 23])
+@pytest.mark.parametrize("pairs", [FIRST, FIRST + MORE, FIRST + 3 * MORE])
+def test_filters_along_lanes(count, pairs):
+    draw = np.random.default_rng(count)
+    low_pass, band = draw.standard_normal(LOW_PASS + 1), draw.standard_normal(pairs + 1)
+    more = -count % 5  # rows that are worked out beyond the last
+    tables = {}
+    for name, rows in (
+        ("down", 2 * (count + more) + 2 * LOW_PASS - 1),
+        ("band", count + more + 2 * pairs),
+        ("up", count + more + 10),
+    ):
+        tables[name] = guarded(draw.standard_normal(rows * ABREAST))
+    found = {name: guarded(np.full((2 if name == "up" else 1) * (count + more) * ABREAST, np.nan)) for name in tables}
+    first = LOW_PASS // 2 + 1
+    down(found["down"][0], tables["down"][0], count, low_pass)
+    smooth(found["band"][0], tables["band"][0], count, band)
+    up(found["up"][0], tables["up"][0], first, count, low_pass)
+    rows = {name: inside.reshape(-1, ABREAST) for name, (inside, _) in tables.items()}
+    finer = np.zeros((2 * (count + LOW_PASS) + 1, ABREAST))
+    finer[::2] = rows["up"][1 : count + LOW_PASS + 2]  # from four rows before the first on
+    wanted = {
+        "down": filtered(rows["down"], low_pass)[::2],
+        "band": filtered(rows["band"], band),
+        "up": filtered(finer, low_pass),
+    }
+    for name, (inside, whole) in found.items():
+        size = (2 if name == "up" else 1) * count
+        np.testing.assert_allclose(inside.reshape(-1, ABREAST)[:size], wanted[name][:size], rtol=0, atol=1e-13)
+        assert untouched(inside, whole)
+
+
+@pytest.mark.parametrize("nodes", [LEAST, LEAST + 1, 3 * LEAST - 5, 3 * LEAST + 5])
+@pytest.mark.parametrize("spread", [11.7, 46.9, 3000.0])
+def test_a_line_is_relaxed_within_its_bounds(nodes, spread):
+    relax = LineRelaxation(tr.Constant(spread), float(nodes))
+    road, whole = guarded(np.ones(nodes))
+    relax(road, 1.0)
+    way, *given = relax.ways[1.0]
+    assert way is relax_by_levels
+    guards = [guarded(np.full(spare.size, np.nan)) for spare in given[-3:]]
+    spare = [inside.reshape(given[n - 3].shape) for n, (inside, _) in enumerate(guards)]
+    way(road, *given[:-3], *spare)
+    np.testing.assert_allclose(road, 1.0, rtol=0, atol=4e-15)
+    assert untouched(road, whole) and all(untouched(*guard) for guard in guards)

@@ -1,9 +1,10 @@
 """Relaxation of a road whose nodes stand in a line: the bands of weights of `schemes.relaxation`, compiled.
 
 Much smoothing goes by way of fewer nodes (`levels`): a low pass down to every other node, as often as the smoothing
-allows, the band there, and the same low pass up again. Nodes that are even and odd are parted first, so that every loop
-reads and writes what lies side by side; and the road is taken a block at a time, all levels of which stay in the
-first-level cache.
+allows, the band there, and the same low pass up again. The road is taken a block at a time, of stretches that are turned
+into lanes side by side (`lane_filters`): what one instruction works on are nodes far apart, and each is read but once for
+several sums, where along a line it would be read anew for each, across the edges of cache lines. All levels of a block stay
+in the second-level cache.
 """
 
 from __future__ import annotations
@@ -14,11 +15,14 @@ from numba import uint64
 from ..compiled import njit
 from ..laws import Constant
 from ..schemes.relaxation import LOW_PASS, band, deepest, levels, relax_law, relax_transform, symbol
-from .even_layout import COMPILE, copy
+from .even_layout import COMPILE, aligned, copy
+from .lane_filters import FIRST, down, smooth, up
+from .lanes import ABREAST, copy_in_abreast, copy_out_abreast
 
-TILE = 512  # nodes worked on at a time: they stay in the first-level cache
-BLOCK = 2048  # the same where levels need more on either side
-LEAST = 2 * BLOCK  # nodes below which the halos outweigh the levels
+TILE = 512  # nodes of a line worked on at a time: they stay in the first-level cache
+ROWS = 504  # nodes of a stretch, or HALOS times those that its levels need on either side, where these are many
+HALOS = 4
+LEAST = ABREAST * ROWS  # nodes of a road below which these outweigh the levels
 REACH = LOW_PASS // 2  # nodes on either side of one, every other, that the low pass reaches
 N1, N2, N3, N4, N5, N6, N7, N8 = (np.uint64(n) for n in range(1, 9))
 
@@ -63,40 +67,6 @@ def relax_line(road, wide, weights):
 
 
 @njit(**COMPILE)
-def _part(even, odd, x):
-    """even (n + 1,), odd (n,) <- x (2 n + 1,)."""
-    for i in range(uint64(odd.size)):
-        even[i], odd[i] = x[i + i], x[i + i + N1]
-    even[odd.size] = x[2 * odd.size]
-
-
-@njit(**COMPILE)
-def _down(half, even, odd, w):
-    """half[k] <- the low pass about even[k + REACH]."""
-    w0, w1, w2, w3, w4, w5, w6, w7, w8 = w[0], w[1], w[2], w[3], w[4], w[5], w[6], w[7], w[8]
-    for k in range(uint64(half.size)):
-        near = w0 * even[k + N4] + (w2 * (even[k + N3] + even[k + N5]) + w4 * (even[k + N2] + even[k + N6]))
-        far = w6 * (even[k + N1] + even[k + N7]) + w8 * (even[k] + even[k + N8])
-        odd_near = w1 * (odd[k + N3] + odd[k + N4]) + w3 * (odd[k + N2] + odd[k + N5])
-        half[k] = (near + far) + (odd_near + (w5 * (odd[k + N1] + odd[k + N6]) + w7 * (odd[k] + odd[k + N7])))
-
-
-@njit(**COMPILE)
-def _up(x, first, half, after, count, w):
-    """Two of x, from `first` on, <- twice the low pass over `half` with zeros in between, `count` times; the first about
-    half[after + REACH]."""
-    w0, w1, w2, w3, w4 = 2.0 * w[0], 2.0 * w[1], 2.0 * w[2], 2.0 * w[3], 2.0 * w[4]
-    w5, w6, w7, w8 = 2.0 * w[5], 2.0 * w[6], 2.0 * w[7], 2.0 * w[8]
-    first, after = uint64(first), uint64(after)
-    for n in range(uint64(count)):
-        k, to = after + n, first + n + n
-        h0, h1, h2, h3, h4 = half[k], half[k + N1], half[k + N2], half[k + N3], half[k + N4]
-        h5, h6, h7, h8 = half[k + N5], half[k + N6], half[k + N7], half[k + N8]
-        x[to] = w0 * h4 + (w2 * (h3 + h5) + (w4 * (h2 + h6) + (w6 * (h1 + h7) + w8 * (h0 + h8))))
-        x[to + N1] = w1 * (h4 + h5) + (w3 * (h3 + h6) + (w5 * (h2 + h7) + w7 * (h1 + h8)))
-
-
-@njit(**COMPILE)
 def _halo(depth, pairs):
     """Nodes on either side of a block that its levels are made of."""
     halo = pairs + LOW_PASS  # what is left of it by the band is enough for every way up
@@ -106,49 +76,62 @@ def _halo(depth, pairs):
 
 
 @njit(**COMPILE)
-def _by_levels(block, wide, halo, spare, passes, weights):
-    """block (count,) <- the levels of wide, which has `halo` nodes more on either side."""
-    depth, pairs = passes.shape[0], weights.size - 1
-    x, count, begin = wide, block.size, 0
-    for level in range(depth):
-        count, halo = (count + 1) // 2, halo // 2 - REACH  # x[k] of the level below: its node k - halo
-        size = count + 2 * halo
-        even, begin = spare[begin : begin + size + LOW_PASS], begin + size + LOW_PASS
-        odd, begin = spare[begin : begin + size + LOW_PASS - 1], begin + size + LOW_PASS - 1
-        half, begin = spare[begin : begin + size], begin + size
-        _part(even, odd, x)
-        _down(half, even, odd, passes[level])
-        x = half
-    smoothed = spare[begin : begin + x.size - 2 * pairs]
-    _smooth(smoothed, 0, smoothed.size, x, pairs, weights)
-    x, halo, begin = smoothed, halo - pairs, begin + smoothed.size
-    for level in range(depth - 1, 0, -1):
-        count = x.size - 2 * REACH
-        finer = spare[begin : begin + 2 * count]
-        _up(finer, 0, x, 0, count, passes[level])
-        x, halo, begin = finer, 2 * (halo - REACH), begin + 2 * count
-    pairs_of_two = block.size // 2
-    _up(block, 0, x, halo - REACH, pairs_of_two, passes[0])
-    if block.size % 2 == 1:
-        last = spare[begin : begin + 2]
-        _up(last, 0, x, halo - REACH + pairs_of_two, 1, passes[0])
-        block[block.size - 1] = last[0]
+def _turn(table, line, rows, apart, out):
+    """Stretches of a line that begin `apart` nodes from each other into the lanes of a table, or out of it again."""
+    d = uint64(apart)
+    for s in range(uint64(0), uint64(rows), N8):
+        starts = s, s + d, s + N2 * d, s + N3 * d, s + N4 * d, s + N5 * d, s + N6 * d, s + N7 * d
+        if out:
+            copy_out_abreast(table, s * N8, line, *starts)
+        else:
+            copy_in_abreast(table, s * N8, line, *starts)
 
 
 @njit(**COMPILE)
-def relax_by_levels(road, passes, weights, start, wide, spare):
-    """road (nodes,) by the low passes (levels, LOW_PASS + 1) and the band (4 n + 1) of `levels`; the others are spare."""
-    halo, nodes = start.size, road.size
+def _by_levels(block, wide, rows, halo, tables, passes, twice, weights):
+    """block (ABREAST * rows,) <- the levels of wide, which has `halo` nodes more on either side; rows: a multiple of 8.
+
+    Row halo + r of a table is node r of stretches of `rows` nodes side by side; of a level below, every other.
+    """
+    x, y = tables[0], tables[1]
+    size, own = rows + 2 * halo, rows
+    _turn(x, wide, size, rows, False)
+    for level in range(passes.shape[0]):
+        own, halo = (own + 1) // 2, halo // 2 - REACH  # row r of the level below: row 2 r - halo
+        size = own + 2 * halo
+        down(y, x, size, passes[level])
+        x, y = y, x
+    size, halo = size - 2 * (weights.size - 1), halo - (weights.size - 1)
+    smooth(y, x, size, weights)
+    for level in range(passes.shape[0] - 1, 0, -1):
+        x, y = y, x
+        up(y, x, REACH, size - 2 * REACH, twice[level])
+        size, halo = 2 * (size - 2 * REACH), 2 * (halo - REACH)
+    up(x, y, halo, rows // 2, twice[0])
+    _turn(x, block, rows, rows, True)
+
+
+@njit(**COMPILE)
+def relax_by_levels(road, rows, passes, twice, weights, start, wide, tables):
+    """road (nodes,) by the low passes (levels, LOW_PASS + 1), also times two, and the band of `levels`; the others are spare.
+
+    A block of ABREAST stretches of `rows` nodes at a time.
+    """
+    halo, nodes, most = start.size, road.size, ABREAST * rows
     copy(start, 0, road, 0, halo)
     copy(wide, 0, road, nodes - halo, halo)
-    for begin in range(0, nodes, BLOCK):
-        count = min(BLOCK, nodes - begin)
+    for begin in range(0, nodes, most):
+        count = min(most, nodes - begin)
         if begin > 0:  # the last of the block before, as they were
-            copy(wide, 0, wide, BLOCK, halo)
+            copy(wide, 0, wide, most, halo)
         ahead = min(halo, nodes - begin - count)
         copy(wide, halo, road, begin, count + ahead)
         copy(wide, halo + count + ahead, start, 0, halo - ahead)
-        _by_levels(road[begin : begin + count], wide, halo, spare, passes, weights)
+        if count == most:
+            _by_levels(road[begin : begin + count], wide, rows, halo, tables, passes, twice, weights)
+        else:
+            _by_levels(wide, wide, rows, halo, tables, passes, twice, weights)
+            copy(road, begin, wide, 0, count)
 
 
 class LineRelaxation:
@@ -179,12 +162,23 @@ class LineRelaxation:
         spread = diffusion * (nodes / self.length) ** 2
         if nodes >= LEAST and (depth := deepest(spread)):
             passes, weights = levels(spread, depth)
+            weights = _padded(weights, FIRST)
             halo = int(_halo(depth, weights.size - 1))
-            if halo <= BLOCK // 2:
-                wide = BLOCK + 2 * halo
-                return relax_by_levels, passes, weights, np.empty(halo), np.empty(wide), np.empty(5 * wide)
+            blocks = max(1, round(nodes / (ABREAST * max(ROWS, HALOS * halo))))
+            rows = -(-nodes // (8 * ABREAST * blocks)) * 8
+            if halo <= 2 * rows:
+                # and a few more that are worked out, and not looked at
+                wide, tables = np.zeros(ABREAST * rows + 2 * halo + 8), aligned(2 * ABREAST * (rows + 2 * halo + 16))
+                spare = np.empty(halo), wide, tables.reshape(2, -1)
+                return relax_by_levels, rows, passes, 2 * passes, weights, *spare
         weights = band(diffusion, self.length, nodes)
         if weights is None:
             return relax_transform, symbol(diffusion, self.length, nodes)
-        weights = np.concatenate((weights, np.zeros(-(weights.size - 1) % 4)))
+        weights = _padded(weights, 0)
         return relax_line, np.empty(nodes + 2 * weights.size), weights
+
+
+def _padded(weights, least):
+    """With zeros, up to `least` pairs or a multiple of 4 more."""
+    pairs = weights.size - 1
+    return np.concatenate((weights, np.zeros(least - pairs if pairs < least else (least - pairs) % 4)))
