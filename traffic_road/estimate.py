@@ -60,7 +60,8 @@ def error_estimate(scene, name: str, numerics: dict, last: Sample, pair_ratio=No
     if last.time != scene.duration:  # samples at times of their own
         scene = replace(scene, duration=last.time)
     module = model(name)
-    size = _distance(last.road_height, last.road_height[:1])
+    uneven = last.road_height - last.road_height.mean()
+    size = math.sqrt(uneven @ uneven / uneven.size)
     often = numerics
     linear = name == "cars" and _is_linear(scene, numerics, last)
     if (

@@ -23,6 +23,7 @@ from .laws import finite, whole
 from .memory import refuse_beyond_memory
 from .models import Breath, Sample, model
 from .models.cars_state import evenly_spaced
+from .models.continuum_state import linear_throughout
 from .outlook import whole_headways
 from .planning import KEYWORDS, plan
 from .scene import Scene
@@ -178,7 +179,11 @@ def _run(keeper, progress):
     if hasattr(module, "fitted"):
         numerics = module.fitted(times, numerics)
     numerics = keeper.numerics or numerics
-    for text in filter(None, (outside and f"{outside}; allow_unstable: run all the same", foreseen(scene))):
+    if outside:
+        warnings.warn(f"{outside}; allow_unstable: run all the same", stacklevel=3)
+    if not (name == "continuum" and linear_throughout(scene, numerics["nodes"], scene.duration)) and (
+        text := foreseen(scene)
+    ):
         warnings.warn(text, stacklevel=3)
     for attempt in range(keeper.attempt, REFINEMENTS + 1):
         keeper.begin(attempt, numerics)

@@ -183,9 +183,8 @@ class Continuum:
         """Whether it is certain that for `duration` no law varies and no car takes off."""
         if not self.constant or not self.lift_off:
             return self.constant
-        Y = slice(1, 1 + self.count)
         # most often the largest wave alone decides at once
-        if np.any(self.square[:, None] * np.abs(self.state[Y]) >= 1):
+        if waves.lifts(self.state, self.square):
             return False
         moving = self.state.any(axis=0)  # a profile of one wave has no other
         moving[0] = True
@@ -194,7 +193,7 @@ class Continuum:
         state = self.state[:, moving]
         state[1 + self.count :, 0] += self.alpha * self.weight.sum()  # about cars at rest on a road that sinks
         state[0, 0] = 0.0
-        return stays_below(1 / self.square, self.decay, state, Y, duration)
+        return stays_below(1 / self.square, *self.decay, state, 1, duration)
 
     def remainder(self, state: np.ndarray) -> np.ndarray:
         """N of every wave, the weight <m> of the cars included in the mean; shape (modes,)."""

@@ -62,6 +62,16 @@ def settle(state, k, speed, frequency, damping, sink_rate):
 
 
 @njit(**COMPILE)
+def lifts(state, square):
+    """Whether one wave of `state` (size, modes) alone lifts cars off the road; square: omega^2 of each kind, (kinds,)."""
+    for i in range(square.size):
+        for m in range(state.shape[1]):
+            if square[i] * abs(state[1 + i, m]) >= 1.0:
+                return True
+    return False
+
+
+@njit(**COMPILE)
 def leap(state, full, rest):
     """`state` (size, modes) one `schemes.exponential.exact` step `full` on, while the remainder is `rest`, of the mean."""
     size, modes = state.shape

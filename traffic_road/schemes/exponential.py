@@ -196,22 +196,26 @@ def _eigenvectors(system):
     return rate, shape, inverse
 
 
-def stays_below(limit: np.ndarray, eigen: tuple, u: np.ndarray, rows: slice, duration: float) -> bool:
+@njit(cache=True, error_model="numpy")
+def stays_below(limit, rate, shape, inverse, u, first, duration):
     """Whether u' = L u keeps real Fourier series below `limit` (rows,) for `duration`, wherever one looks on the ring.
 
-    u (size, systems) holds waves 0, 1, ... of the series; `eigen`: `eigenvectors` of L. A wave is a sum of exponentials of
-    time, so that its amplitude is never above the sum of their largest sizes, and the series never above the sum over its
-    waves. That may say too little as long as the exponentials cancel: then one looks ahead a little, by the rate at
-    which their phases part, and asks again. Where eigenvectors nearly coincide this finds no bound, never a false one.
+    The series are those in the rows of u from `first` on. u (size, systems) holds the mean and then waves of each; rate,
+    shape, inverse: `eigenvectors` of L. A wave is a sum of exponentials of time, so that its amplitude is never above the
+    sum of their largest sizes, and the series never above the sum over its waves. That may say too little as long as the
+    exponentials cancel: then one looks ahead a little, by the rate at which their phases part, and asks again. Where
+    eigenvectors nearly coincide this finds no bound, never a false one.
     """
-    rate, shape, inverse = eigen
-    term = shape[:, rows] * (inverse @ u.T[..., None]).swapaxes(1, 2)
-    return _stays_below(limit * (1 - 1e-6), rate, term, duration)  # rounding
-
-
-@njit(cache=True, error_model="numpy")
-def _stays_below(limit, rate, term, duration):
-    """The same of exponentials `term` (systems, rows, size) that move at the `rate` (systems, size); changes `term`."""
+    systems, size = rate.shape
+    term = np.empty((systems, limit.size, size), np.complex128)  # the exponentials, which move at `rate`
+    for s in range(systems):
+        for j in range(size):
+            part = 0j
+            for i in range(size):
+                part += inverse[s, j, i] * u[i, s]
+            for row in range(limit.size):
+                term[s, row, j] = shape[s, first + row, j] * part
+    limit = limit * (1 - 1e-6)  # rounding
     for _ in range(MOST_LOOKS):
         below = within_reach = True
         for row in range(limit.size):
