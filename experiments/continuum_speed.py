@@ -9,7 +9,7 @@ solve_ivp over sweeps of tolerance and grid. Their right-hand side is spectral, 
 transforms or by a matrix, whichever is faster on that grid. On a grid, tolerances are tightened until the error stays
 the same; a method is given up, and finer grids with it, at a run that takes longer than 8 s: that run stands as a cross
 at the edge of the chart, with its reason in the data. Times are CPU times of one core, the best of 5 or more after a
-warm-up, ours of 15, of as many scenes, made beforehand as the right-hand sides are, that differ by a rounding, so that no
+warm-up, ours of 30, of as many scenes, made beforehand as the right-hand sides are, that differ by a rounding, so that no
 run finds what another has left in memory; runs of solve_ivp that take too long for 5 within half a second, and are not
 among the fastest to any of the errors compared, within a factor of two, have fewer (`repeats`). The error is that of the
 corrugation: L2 over the road, mean removed, relative. A comparison at equal error takes the fastest run of each that is
@@ -48,8 +48,8 @@ TARGETS = {
 SHOWN = {"smooth": (1e-6,), "bouncing": (1e-4, 1e-6)}  # in the figure
 LIMIT = 8.0  # seconds
 PATIENCE = 0.5  # seconds for the repeats of a run that is not among the fastest
-REPEATS, OURS = 5, 15
-STEPS = (16.0, 12.5, 10.0, 8.0, 6.25, 5.0, 4.0, 2.5, 2.0, 1.0)
+REPEATS, OURS = 5, 30
+STEPS = (25.0, 20.0, 16.0, 12.5, 10.0, 8.0, 6.25, 5.0, 4.0, 2.5, 2.0, 1.0)
 COLUMNS = {  # of the Dataset: long_name, units
     "who": ("tr.simulate, the bare stepping, or the method of solve_ivp",),
     "nodes": ("nodes", "1"),
