@@ -7,7 +7,7 @@ Delta = 0.01, and fleets that are not even from `mixed_cases`. What relaxing les
 the Floquet matrix.
 Bars are what the kernels are held to.
 
-Run: python experiments/benchmark.py [--quick]        (about 50 s; 12 s)
+Run: python experiments/benchmark.py [--quick]        (1 to 6 min, as the machine is busy; 5 s)
 """
 
 import time
