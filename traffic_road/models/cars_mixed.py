@@ -27,7 +27,9 @@ def mixed_samples(scene, times, left=None, *, nodes, hold, relax_every):
     speed, frequency, damping, mass = distinct.T
     A, B = oscillator.propagator(dx / speed, frequency, damping, hold)
     _, value, shape = law = scene.road.softness.kernel
-    kind, table, factor, offset = coefficients(A, B, 0.5 * mass * scene.headway / speed, frequency**2, law)
+    kind, numbers, factor, offset = coefficients(A, B, 0.5 * mass * scene.headway / speed, frequency**2, law)
+    table = aligned(numbers.size)  # a record, a cache line
+    table[:] = numbers.ravel()
     road = aligned(nodes)
     road += scene.road.profile.sample(length, nodes)
     # neighbours on the road are neighbours in memory, at first at least
@@ -95,7 +97,7 @@ def mixed_samples(scene, times, left=None, *, nodes, hold, relax_every):
             i += 1
             until = begin + i * span if i < parts else end
             updates += cross_until(
-                begin + (i - 1) * span + slack, until + slack, stretch, road, cars, table.reshape(-1), plans, work, (0,) * hold,
+                begin + (i - 1) * span + slack, until + slack, stretch, road, cars, table, plans, work, (0,) * hold,
                 (0,) * kind, (value, shape), scene.lift_off,
             )  # fmt: skip
             relax(road, span if i < parts else span / 2)
