@@ -58,6 +58,17 @@ def test_error_estimate_of_a_single_step_is_true(k, damping, law, amplitude, dur
     assert error <= ds.error_estimate <= 3 * error
 
 
+@pytest.mark.parametrize("duration", [20.0, 30.0, 40.0])  # the last of them comes to its full step
+def test_error_estimate_of_a_run_in_its_beginning_is_true(duration):
+    # unless the second run halves the shorter steps at the start, too, it ends with the same ones: 0.1 to 0.3 of the error
+    road = tr.Road(2 * np.pi / 1.03, tr.Exponential(0.00482, 0.0161), 0.0614, tr.Sine(0.515, 1.03))
+    case = tr.Scene(road, tr.Fleet(1, 0.234), duration)
+    ds = tr.simulate(case, "continuum", samples=2, nodes=41, step=11.4)
+    *_, reference = continuum.samples(case, np.array([0.0, duration]), {"nodes": 163, "step": 0.2})
+    error = corrugation_difference(ds.road_height.values[-1], reference.road_height)
+    assert error <= ds.error_estimate <= 3 * error
+
+
 @pytest.mark.parametrize(
     ("softness", "damping", "amplitude", "k", "waves", "duration", "nodes"),
     [

@@ -36,6 +36,7 @@ CASES = {
     "continuum, laws": (continuum, scene(**SOFT), {"nodes": 32, "step": 0.25}),
     "continuum, many nodes": (continuum, scene(), {"nodes": 600, "step": 2.0}),
     "continuum, kinds": (continuum, scene(speed=SPEEDS), {"nodes": 32, "step": 1.0}),
+    "continuum, steps that grow": (continuum, scene(), {"nodes": 32, "step": 0.6}),
 }
 CASES |= {
     "linear": (linear, scene(amplitude=1e-3), {"nodes": 64}),

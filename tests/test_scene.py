@@ -262,6 +262,24 @@ def test_noise_is_gaussian():
     assert abs(np.mean(roads**4) - 3) < 0.3  # the standard error of the kurtosis of 3800 is 0.08
 
 
+@pytest.mark.parametrize("nodes", [15, 16, 33])
+@pytest.mark.parametrize(
+    "profile",
+    [
+        tr.Sine(0.3, 4.5, phase=0.7),
+        tr.Sine(-0.3, 0.9),
+        tr.Noise(0.1, 6.3, seed=3),
+        Heights((0.1, 0.3, -0.2, 0.05)),
+        Heights((0.2,)),
+    ],
+)
+def test_spectrum_is_that_of_the_heights(profile, nodes):
+    heights = profile.sample(LENGTH, nodes)
+    np.testing.assert_allclose(
+        profile.spectrum(LENGTH, nodes), np.fft.rfft(heights, norm="forward"), rtol=0, atol=1e-16
+    )
+
+
 def test_heights_are_the_trigonometric_interpolant():
     def road(n):
         x = 2 * np.pi * np.arange(n) / n

@@ -4,11 +4,12 @@ import warnings
 
 import numpy as np
 import pytest
+from scipy.linalg import expm
 
 import traffic_road as tr
 from traffic_road.models import continuum
 from traffic_road.models.continuum_state import Continuum
-from traffic_road.schemes.exponential import amplification, exact, step_limit
+from traffic_road.schemes.exponential import amplification, doubled, exact, exponentials, step_limit
 
 K, NODES = 0.9, 32
 SCENES = [  # damping, softness, diffusivity, factor of the limit by which roads blow up: harmonics move it
@@ -17,6 +18,26 @@ SCENES = [  # damping, softness, diffusivity, factor of the limit by which roads
     (0.05, 0.002, 0.01, 1.02),
     (0.05, 0.003, 0.02, 1.15),
 ]
+
+
+@pytest.mark.parametrize("norm", [1e-6, 0.03, 1.0, 30.0, 1e3])
+def test_maps_of_a_step_are_those_of_the_augmented_matrix(norm):
+    # by scipy's matrix exponential (Al-Mohy and Higham), of systems in no order and of norms that differ by 1e4
+    rng = np.random.default_rng(1)
+    system = rng.normal(size=(5, 3, 3)) + 1j * rng.normal(size=(5, 3, 3))
+    system -= 3.0 * np.eye(3)  # decaying: no entry of the exponential is lost beside another
+    system *= norm * np.array([1.0, 1e-4, 0.5, 1e-2, 1.0])[:, None, None]
+    source, step = np.array([1.0, -1.0, 0.3]), 0.7
+    augmented = np.zeros((5, 6, 6), dtype=complex)
+    augmented[:, :3, :3], augmented[:, :3, 3] = step * system, step * source
+    augmented[:, 3, 4] = augmented[:, 4, 5] = 1.0
+    right = expm(augmented)[:, :3].transpose(1, 2, 0)
+    off = np.abs(exact(system, source, step) - right).max(axis=(0, 1)) / np.abs(right).max(axis=(0, 1))
+    twice = np.abs(doubled(exact(system, source, step / 2)) - right).max(axis=(0, 1)) / np.abs(right).max(axis=(0, 1))
+    alone = np.abs(exponentials(step * system) - expm(step * system)).max()
+    print(off.max(), twice.max(), alone)
+    # rounding of a norm of up to 12 times as much, of which the systems after the largest have their share
+    assert max(off.max(), twice.max(), alone) < 50 * np.finfo(float).eps * max(1.0, 12 * norm)
 
 
 def scene(damping, softness, diffusivity, amplitude=1e3, duration=1e5):

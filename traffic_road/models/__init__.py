@@ -2,7 +2,7 @@
 
 numerics(scene, given) -> dict         every parameter, defaults filled in; SceneError or StabilityError if unusable
 unstable_numerics(scene, given)        only where `numerics` raises StabilityError and a run is possible all the same: for study
-coarser(scene, numerics) -> dict       the same at half the resolution, for an error estimate by a pair of runs; or None
+coarser(scene, numerics) -> dict       the same at half the resolution or so, for an error estimate by a pair; or None
 finer(scene, numerics, given) -> dict  the same at twice the resolution, but for what was given; cars by less, if asked
 fitted(times, numerics) -> dict        only where the times of samples change them: as they will be
 sample_times(scene, times, numerics)   the times (n,) at which samples will be taken, nearest to those asked for

@@ -46,7 +46,8 @@ PAIR_RATIO = 2.0  # a pair of runs differs by 3 times the error of the better on
 BEGINNING = (0.5, 0.125), (1.5, 0.25), (3.5, 0.5)
 LONG_STEP = 8  # default steps: in longer ones cars take off and land, and longer still say too little of their error
 FEWER = 0.6  # of the nodes has a run that is compared with: where cars fly its error is 5 times as large, by its order of 3.3
-MOST = 0.75  # of the nodes that it may have where the profile needs more, or steps are half as long: twice as large
+MOST = 0.7  # of the nodes that it may have where the profile needs more
+MANY = 0.75  # of the nodes that a run of half the step has: an error of the grid 2.6 times as large
 LARGEST = 2e9  # multiplications in one product of all matrices: about a minute for a rebuild
 MOST_STEPS = 1e10
 MOST_WAVES = 64  # that are looked at for the longest step
@@ -141,25 +142,26 @@ def resolving(scene) -> int:
 
 
 def coarser(scene, numerics: dict) -> dict | None:
-    """A cheaper run to compare with: FEWER of the nodes, or the somewhat more that the profile needs, and twice every step.
+    """A cheaper run to compare with: fewer nodes, as many as the profile needs, and twice the step.
 
-    Half of every step, and MOST of the nodes, where steps are too long for any order and twice would say too little. None
-    where fewer nodes would, too, and such a run ends before it has come to its full step: both grids miss what cars
-    answer to, the profile needs nearly all the nodes, or both hold as many harmonics of its waves, all multiples of one.
+    Half of it where steps are too long for any order, and twice would say too little. None where fewer nodes would: both
+    grids miss what cars answer to, the profile needs nearly all the nodes, or both hold as many harmonics of its waves, all
+    of which are multiples of one; and where the run ends before it has come to its full step: a finer one is cheap, too.
     The step may be beyond `longest_step`: half of it is as wrong as that run tells, where a finer one would say too little.
     """
-    step, most = numerics["step"], MOST * numerics["nodes"]
+    step = numerics["step"]
     if scene.duration < BEGINNING[-1][0] * step:
         return None
     long = step > LONG_STEP * default_step(scene)
+    fewer, most = (MANY, MANY) if long else (FEWER, MOST)
     spectrum = start(scene, numerics["nodes"]).spectrum
     (waves,) = present(spectrum).nonzero()
-    nodes = max(int(most if long else FEWER * numerics["nodes"]), 2 * int(waves.max(initial=0)) + 1)
+    nodes = max(int(fewer * numerics["nodes"]), 2 * int(waves.max(initial=0)) + 1)
     base = base_wave(spectrum)
     blind = (modes(nodes) - 1) // base == (modes(numerics["nodes"]) - 1) // base
-    if blind or numerics["nodes"] < RESOLVED * resolving(scene) or nodes > most:
+    if blind or numerics["nodes"] < RESOLVED * resolving(scene) or nodes > most * numerics["nodes"]:
         return None
-    return {"nodes": nodes, "step": step / 2 if long else 2 * step, "unit": step}
+    return {"nodes": nodes, "step": step / 2 if long else 2 * step}
 
 
 def finer(scene, numerics: dict, given: dict) -> dict:
@@ -173,9 +175,9 @@ def fitted(times, numerics: dict) -> dict:
     step, times = numerics["step"], np.asarray(times, dtype=float)
     gaps = times[1:] - times[:-1]
     counts = np.maximum(1.0, np.ceil(gaps / step * (1 - 1e-12)))
-    start = BEGINNING[-1][0]
-    if gaps[0] > start * step:
-        counts[0] = start + max(1, math.ceil((gaps[0] / step - start) * (1 - 1e-12)))
+    begun = BEGINNING[-1][0]
+    if gaps[0] > begun * step:
+        counts[0] = begun + max(1, math.ceil((gaps[0] / step - begun) * (1 - 1e-12)))
     longest = float(np.max(gaps / counts))
     return numerics | {"step": longest} if longest < (1 - 1e-9) * step else numerics
 

@@ -146,6 +146,7 @@ class Continuum:
         self.count = len(kinds.speed)
         self.square, self.weight = kinds.frequency**2, kinds.weight
         self.state, self.step = state.copy(), 0.0
+        self.built = 0.0  # the step for which the matrices were made, before they were doubled to `step`
         self.few = nodes <= (FEW_NODES if self.constant else FEW_NODES_VARYING)
         self.laws = np.array([*scene.road.softness.kernel, *scene.road.diffusivity.kernel], dtype=float)
         self.decay = self.table = self.half = None  # made when needed
@@ -153,7 +154,11 @@ class Continuum:
     def build(self, step: float) -> None:
         """Solve the linear part, of every wave, over `step` and half of it."""
         self.half = exact(*self.linear, step / 2)
-        self.step, self.full = step, doubled(self.half)
+        self.step, self.full, self.built = step, doubled(self.half), step
+
+    def double(self) -> None:
+        """Go on to steps twice as long."""
+        self.step, self.half, self.full = 2 * self.step, self.full, doubled(self.full)
 
     def as_before(self, step: float, most: float) -> float:
         """The step that is known, or twice that, where `step` is the same but for the rounding of a time `most`."""
@@ -165,7 +170,8 @@ class Continuum:
     def leave(self) -> dict:
         """All that is needed to go on as if nothing had been."""
         leapt = self.half is None
-        return {"state": self.state.copy(), "step": self.step, "alpha": self.alpha, "delta": self.delta, "leapt": leapt}
+        now = {"state": self.state.copy(), "step": self.step, "alpha": self.alpha, "delta": self.delta}
+        return now | {"leapt": leapt, "built": self.built}
 
     @np.errstate(all="ignore")
     def take_up(self, left: dict) -> None:
@@ -176,7 +182,9 @@ class Continuum:
         if left["leapt"]:
             self.step, self.half, self.full = left["step"], None, exact(*self.linear, left["step"])
         else:
-            self.build(left["step"])
+            self.build(left["built"])
+            while self.step < left["step"]:  # as it was come to: another way differs by roundings
+                self.double()
 
     @np.errstate(all="ignore")
     def stays_linear(self, duration: float) -> bool:
@@ -247,8 +255,8 @@ class Continuum:
             self.linear = waves.linear_part(self.k, *self.kinds[:3], self.weight, self.alpha, self.delta)
         if drifted or self.half is None or step not in (self.step, 2 * self.step):
             self.build(step)
-        elif step != self.step:  # as run of steps that grow from its start
-            self.step, self.half, self.full = step, self.full, doubled(self.full)
+        elif step != self.step:
+            self.double()
 
     @np.errstate(all="ignore")
     def leap(self, duration: float) -> None:
