@@ -36,7 +36,8 @@ OTHERS = 0.1  # of a wave by its growth rate: what may belong to the other rates
 # By how many times its error e a run differs from one at half the resolution where nothing smooths the steps that passages
 # leave, and it is of order 1/2: by the short waves that grids leave out, of which the squares subtract, 2 e^2 - e^2; and for
 # cars by the node at each step, whose error on the waves of both grids is half as large on the finer: e^2/2. At order 1: e.
-# The continuum's kinks, where cars take off and land, are of order 3/2 then: 0.6^-1.5 - 1 = 1.15 e on 0.6 of the nodes; measured, 1.2 e at least.
+# The continuum's kinks, where cars take off and land, are of order 3/2 then: 0.6^-1.5 - 1 = 1.15 e on 0.6 of the nodes;
+# measured, 1.2 e at least.
 STEPS_STAY = {"linear": 1.0, "cars": math.sqrt(0.5), "continuum": 1.15}
 LEAVING = 0.1  # of the static load: a force between few nodes below which somewhere there is none
 # Where in a step cars take off for the first time, or land for the last, is chance, and so is a part of the error: two runs

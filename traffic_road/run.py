@@ -181,6 +181,7 @@ def _run(keeper, progress):
     numerics = keeper.numerics or numerics
     if outside:
         warnings.warn(f"{outside}; allow_unstable: run all the same", stacklevel=3)
+    # the continuum knows already where cars never take off
     if not (name == "continuum" and linear_throughout(scene, numerics["nodes"], scene.duration)) and (
         text := foreseen(scene)
     ):
