@@ -25,8 +25,9 @@ PAIR = 7e-11  # two nodes of a short ring
 UPDATE = {1: 0.8e-9, 3: 1.2e-9, 5: 1.6e-9}  # a node crossed, by the hold
 LAW = 6e-9  # the same where the softness varies: 1.5e-9, but 20e-9 where it varies by half along the road
 ANY_CALL, ANY_CAR, ANY_ORDER = 10e-6, 0.15e-6, 3e-9  # any fleet but an even one: a headway, a car of it, a node crossed
-# a node relaxed, constant diffusivity: by way of all waves, or by weights nearby; these along lanes, few of them, in a line
-TRANSFORM, BAND, NARROW_BAND, LINE_BAND = 15e-9, 1.6e-9, 6e-9, 3e-9
+# a node relaxed, constant diffusivity: by way of all waves, or by weights nearby; these along lanes, few of them, in a line,
+# and in a long line by levels
+TRANSFORM, BAND, NARROW_BAND, LINE_BAND, LINE_LEVELS = 15e-9, 1.6e-9, 6e-9, 3e-9, 2.5e-9
 RIPPLES = 6e-9  # of a large even fleet's long road, where there are no such weights for little smoothing
 SPREAD, LINE_SPREAD = (
     2.4,
@@ -84,8 +85,8 @@ def of_cars(scene, numerics: dict, even: bool) -> float:
     elif delta > 0:
         spread, count, short = delta * interval * (nodes / road.length) ** 2, scene.fleet.count, nodes <= SHORT_RING
         by_levels = nodes >= LEAST and spread >= ALIASED
-        transform = nodes * PAIR if short else LINE_BAND if by_levels else TRANSFORM
-        band, most = LINE_BAND, LINE_SPREAD
+        transform = nodes * PAIR if short else LINE_LEVELS if by_levels else TRANSFORM
+        band, most = LINE_LEVELS if by_levels else LINE_BAND, LINE_SPREAD
         if even and not short:
             lanes = layout(count, nodes // count)
             band, most = BAND if count >= MANY else NARROW_BAND, ((lanes.tiles - 1) * lanes.rows / REACH) ** 2

@@ -205,6 +205,9 @@ def cross_units(road, body, table, kind_of, units, ranking, total, work, hold, k
                 while r + N4 <= end:
                     _cross_rows(heights, (r - begin) * L, t, wide, (0, 0, 0, 0), hold, kind, value, shape, slack)
                     r += N4
+                if r + N2 <= end:
+                    _cross_rows(heights, (r - begin) * L, t, wide, (0, 0), hold, kind, value, shape, slack)
+                    r += N2
                 while r < end:
                     _cross_rows(heights, (r - begin) * L, t, wide, (0,), hold, kind, value, shape, slack)
                     r += N1
