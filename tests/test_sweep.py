@@ -7,6 +7,7 @@ import signal
 import sqlite3
 import subprocess
 import sys
+import threading
 import time
 from contextlib import suppress
 from dataclasses import replace
@@ -406,6 +407,18 @@ def test_killed_and_interrupted_sweeps_go_on(folder, monkeypatch):
     assert sorted(asked) == sorted(set(range(96)) - set(before)) and len(asked) < 91
     same(ds, serial(task(scene, over, model="auto")))
     assert sorted(os.listdir(folder)) == ["o.nc", "small.toml"]
+
+
+def test_what_is_finished_after_the_end_keeps_no_one_waiting():
+    # a process may answer between the interrupt and its own end: its thread then asked for ever
+    batches, given = pool.Batches(range(5), 1), []
+    batch = batches.take()
+    batches.close()
+    batches.done(batch, 0.1)
+    servant = threading.Thread(target=lambda: given.append(batches.take()), daemon=True)
+    servant.start()
+    servant.join(5)
+    assert given == [[]]
 
 
 @pytest.mark.parametrize("committed", [True, False])

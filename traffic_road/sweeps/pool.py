@@ -43,7 +43,8 @@ class Batches:
     def take(self, wait: bool = True) -> list[int]:
         """The next batch; empty when all points are done or, without `wait`, when all are under way."""
         with self._change:
-            while wait and self._open and not self._left and not self._suspects:
+            # after `close` what is still done counts below 0
+            while wait and self._open > 0 and not self._left and not self._suspects:
                 self._change.wait()  # a lost batch may still come back
             if self._suspects:
                 return [self._suspects.popleft()]
