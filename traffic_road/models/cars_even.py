@@ -10,7 +10,7 @@ from ..schemes import oscillator
 from . import Breath, Pace, Sample
 from .cars_state import force, kinds, level_of, sink_rate, start
 from .even_kernels import FIELDS, recursion, scaled, sweep_even
-from .even_layout import get, layout, on_huge_pages, put, slots
+from .even_layout import aligned, get, layout, on_huge_pages, put, slots
 from .even_passages import passage, passage_about
 from .even_relaxation import Relaxation, margin
 
@@ -114,7 +114,8 @@ class _Cars:
         fields = FIELDS + hold
         self.flat = on_huge_pages(self.layout.panels * self.layout.tiles * fields * self.layout.width)
         self.state = self.flat.reshape(-1, fields, self.layout.width)
-        self.contacts = np.zeros(self.layout.panels * self.layout.width, dtype=np.int64)  # less one for each
+        # less one for each contact. Each panel's at cache lines of its own: two threads that write to one wait for each other
+        self.contacts = aligned(self.layout.panels * self.layout.width).view(np.int64)
         self.where = slot, lane = slots(0, self.layout)  # of all cars, in the order of their places
         self.exponential = kind == EXPONENTIAL
         for field, values in ((0, f), (-2, past[:, 0]), (-1, before)):
