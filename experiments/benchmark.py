@@ -12,6 +12,7 @@ Run: python experiments/benchmark.py [--quick]        (1 to 6 min, as the machin
 
 import time
 import tracemalloc
+from functools import partial
 
 import numba
 import numpy as np
@@ -117,32 +118,38 @@ def rate_of(case, given) -> float:
     return last.updates / (time.perf_counter() - begin)
 
 
-def measured(updates, repeats, threads, count, rows, hold, diffusivity, relax_every, softness) -> tuple[float, float]:
-    """Best rate of a case, and of the bare loop beside it, in as many threads."""
-    numba.set_num_threads(min(threads, numba.config.NUMBA_NUM_THREADS))
+def runner(updates, count, rows, hold, diffusivity, relax_every, softness):
+    """A call that runs a case once, of about so many updates, and gives its rate; compiled already."""
     law = diffusivity, relax_every, softness
     rate(count, 2 * relax_every, rows, hold, *law)
     if isinstance(softness, tr.Exponential):
-        # before cars take off: passages of many times the load are solved one by one. Short runs vary more
-        updates, repeats = min(updates, 3e7), 4 * repeats
+        updates = min(updates, 3e7)  # before cars take off: passages of many times the load are solved one by one
     headways = max(relax_every, min(LONGEST, int(updates / (rows * count))) // relax_every * relax_every)
-    pairs = [(rate(count, headways, rows, hold, *law), bare_rate(CARS, 1, threads)) for _ in range(repeats)]
+    return lambda: rate(count, headways, rows, hold, *law)
+
+
+def measured(runs: list, repeats: int) -> tuple[np.ndarray, np.ndarray]:
+    """Best rate of each of the (threads, call), and of the bare loop beside it, in as many threads.
+
+    One of each in turn, again and again: what a machine gives changes by the second, and whether its two processors are
+    two or share one core may last for several.
+    """
+    best = np.zeros((2, len(runs)))
+    for _ in range(repeats):
+        for n, (threads, call) in enumerate(runs):
+            numba.set_num_threads(min(threads, numba.config.NUMBA_NUM_THREADS))
+            best[:, n] = np.maximum(best[:, n], (call(), bare_rate(CARS, 1, threads)))
     numba.set_num_threads(numba.config.NUMBA_NUM_THREADS)
-    return tuple(np.max(pairs, axis=0))
+    return best[0], best[1]
 
 
-def mixed(updates, repeats):
-    """Labels of the fleets that are not even, best rates, and of the bare loop beside; one thread."""
-    numba.set_num_threads(1)
-    found = []
+def mixed_runs(updates):
+    """Labels of the fleets that are not even, and (threads, call) of each."""
     for _, case, given in mixed_cases(CARS, 2):
         rate_of(case, given)  # compiled, or read from the disk
-    cases = list(mixed_cases(CARS, max(2, int(0.1 * updates / (32 * CARS)))))
+    cases = list(mixed_cases(CARS, max(2, int(0.3 * updates / (32 * CARS)))))
     labels = [label if "same" not in label else f"{cases[n - 1][0]}, relaxed" for n, (label, *_) in enumerate(cases)]
-    for _, case, given in cases:
-        found.append(np.max([(rate_of(case, given), bare_rate(CARS, 1)) for _ in range(repeats)], axis=0))
-    numba.set_num_threads(numba.config.NUMBA_NUM_THREADS)
-    return labels, *np.array(found).T
+    return labels, [(1, partial(rate_of, case, given)) for _, case, given in cases]
 
 
 def added_error(rows, hold, diffusivity, relax_every) -> float:
@@ -179,23 +186,20 @@ def memory(count, headways) -> float:
 
 def main() -> None:
     chosen = options(__doc__)
-    updates, repeats = (4e6, 1) if chosen.quick else (6e7, 48)  # short: what a machine gives changes by the second
+    updates, repeats = (4e6, 1) if chosen.quick else (6e7, 96)  # short: what a machine gives changes by the second
     sizes, durations = (SIZES[:3], DURATIONS[:2]) if chosen.quick else (SIZES, DURATIONS)
     cases = [CASES[n] for n in QUICK] if chosen.quick else CASES
-    rates, bares, errors = [], [], []
-    for _, _, threads, count, rows, hold, *law in cases:
-        found, beside = measured(updates, repeats, threads, count, rows, hold, *law)
-        rates.append(found)
-        bares.append(beside)
-        errors.append(added_error(rows, hold, *law[:2]))
+    runs = [(threads, runner(updates, *case)) for _, _, threads, *case in cases]
+    errors = [added_error(rows, hold, *law[:2]) for _, _, _, _, rows, hold, *law in cases]
     bars = [bar for _, bar, *_ in cases]
     labels, threads = [label for label, *_ in cases], [threads for _, _, threads, *_ in cases]
-    names, found, beside = mixed(updates, repeats)
-    rates, bares, errors = [*rates, *found], [*bares, *beside], [*errors, *(0.0 for _ in found)]
-    bars, labels, threads = [*bars, *MIXED_BARS], [*labels, *names], [*threads, *(1 for _ in found)]
+    names, others = mixed_runs(updates)
+    rates, bares = measured([*runs, *others], repeats)
+    errors = [*errors, *(0.0 for _ in others)]
+    bars, labels, threads = [*bars, *MIXED_BARS], [*labels, *names], [*threads, *(1 for _ in others)]
     reference = max(bare for bare, n in zip(bares, threads, strict=True) if n == 1)
     twice = max(bare for bare, n in zip(bares, threads, strict=True) if n == 2) / reference
-    ratios = np.array(rates) / reference
+    ratios = rates / reference
     bars = [bar * ratios[n - 1] if threads[n] == 2 else bar for n, bar in enumerate(bars)]
     for label, bar, found, ratio, error in zip(labels, bars, rates, ratios, errors, strict=True):
         verdict = "" if np.isnan(bar) else f"bar {bar:.2f}, {'met' if ratio >= bar else 'missed'}"
@@ -209,8 +213,8 @@ def main() -> None:
     used = [memory(16 * CARS, n) for n in (8, 80)]
     print(f"memory over road and cars: {used[0]:.2f}, ten times as long {used[1]:.2f} (bar 1.5)")
     plain = 32, 1, 0.0, 1, SOFTNESS
-    by_size = [1 / measured(updates, repeats, 1, n, *plain)[0] for n in sizes]
-    by_duration = [1 / max(rate(CARS // 4, n, *plain) for _ in range(repeats)) for n in durations]
+    by_size = 1 / measured([(1, runner(updates, n, *plain)) for n in sizes], repeats)[0]
+    by_duration = 1 / measured([(1, partial(rate, CARS // 4, n, *plain)) for n in durations], repeats)[0]
     ds = xr.Dataset(
         {
             "rate": ("case", rates, {"long_name": "car-node updates a second", "units": "s-1"}),
