@@ -191,16 +191,12 @@ class Continuum:
         """Whether it is certain that for `duration` no law varies and no car takes off."""
         if not self.constant or not self.lift_off:
             return self.constant
-        # most often the largest wave alone decides at once
-        if waves.lifts(self.state, self.square):
+        moving = waves.moving(self.state, self.square)  # most often the largest wave alone decides at once
+        if not moving.size:
             return False
-        moving = self.state.any(axis=0)  # a profile of one wave has no other
-        moving[0] = True
-        if self.decay is None or self.decay[0].shape[0] != np.count_nonzero(moving):
+        if self.decay is None or self.decay[0].shape[0] != moving.size:
             self.decay = eigenvectors(self.linear[0][moving])
-        state = self.state[:, moving]
-        state[1 + self.count :, 0] += self.alpha * self.weight.sum()  # about cars at rest on a road that sinks
-        state[0, 0] = 0.0
+        state = waves.about_rest(self.state, moving, self.alpha * self.weight.sum())
         return stays_below(1 / self.square, *self.decay, state, 1, duration)
 
     def remainder(self, state: np.ndarray) -> np.ndarray:

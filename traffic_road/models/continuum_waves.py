@@ -62,13 +62,33 @@ def settle(state, k, speed, frequency, damping, sink_rate):
 
 
 @njit(**COMPILE)
-def lifts(state, square):
-    """Whether one wave of `state` (size, modes) alone lifts cars off the road; square: omega^2 of each kind, (kinds,)."""
-    for i in range(square.size):
-        for m in range(state.shape[1]):
+def moving(state, square):
+    """Numbers of the waves of `state` (size, modes) that are there at all, the mean included: a profile of one wave has no
+    other. None where one of them alone lifts cars off the road; square: omega^2 of each kind, (kinds,)."""
+    count, found = 0, np.zeros(state.shape[1], np.int64)
+    for m in range(state.shape[1]):
+        for i in range(square.size):
             if square[i] * abs(state[1 + i, m]) >= 1.0:
-                return True
-    return False
+                return found[:0]
+        for i in range(state.shape[0]):
+            if m == 0 or state[i, m] != 0:
+                found[count] = m
+                count += 1
+                break
+    return found[:count]
+
+
+@njit(**COMPILE)
+def about_rest(state, moving, sink_rate):
+    """These waves of `state` (1 + 2 kinds, modes), the mean about cars at rest on a road that sinks."""
+    size, kinds = state.shape[0], state.shape[0] // 2
+    kept = np.empty((size, moving.size), np.complex128)
+    for i in range(size):
+        for n in range(moving.size):
+            kept[i, n] = state[i, moving[n]]
+        kept[i, 0] += sink_rate if i > kinds else 0.0
+    kept[0, 0] = 0.0
+    return kept
 
 
 @njit(**COMPILE)
