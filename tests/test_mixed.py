@@ -99,7 +99,7 @@ def test_units_of_one_level_touch_no_common_node():
     room = np.empty((2, 4), dtype=np.int64)  # too short: it must grow
     units, ranking, total = mixed_order.plan(
         8.0, nodes, np.arange(count), place, crossed, first_due, step, np.arange(count), spare, touched,
-        np.zeros(1, dtype=np.int64), np.tile(room, (count, 1)), np.empty(count, dtype=np.int64),
+        np.zeros(1, dtype=np.int64), np.tile(room, (count, 1)), np.empty(count, dtype=np.int64), 0,
     )  # fmt: skip
     assert total > count  # overtakes there are
     visits = [[] for _ in range(nodes)]

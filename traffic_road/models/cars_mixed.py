@@ -45,12 +45,11 @@ def mixed_samples(scene, times, left=None, *, nodes, hold, relax_every):
     body = flat.reshape(fleet.count, RECORD)  # passages without contact, f, f_-1, contact heights
     body[:, 1], body[:, 2] = factor * free + offset, factor * (Z - newest * past[:, 0]) + offset
     body[:, 3 : 3 + hold] = past
-    place = behind + 1
-    crossed = np.zeros(fleet.count, dtype=np.int64)
-    first_due = np.maximum((place * dx - position) / speed[kind_of], 0.0)
-    step = (dx / speed)[kind_of]
-    order = np.lexsort((-number, -first_due, place))
-    cars = (order, place, crossed, first_due, step, number, kind_of.astype(np.uint64), flat)
+    due = np.stack((np.maximum(((behind + 1) * dx - position) / speed[kind_of], 0.0), (dx / speed)[kind_of]))
+    first_due, step = due
+    whole = np.stack((np.lexsort((-number, -first_due, behind)), behind + 1, np.zeros_like(number), number))
+    order, place, crossed, number = whole
+    cars = (whole, due, kind_of.astype(np.uint64), flat)
     plans = (
         np.empty((5, fleet.count), dtype=np.int64), np.zeros(nodes, dtype=np.int32), np.zeros(1, dtype=np.int64),
         np.empty((2 * fleet.count, 4), dtype=np.int64), np.empty(2 * fleet.count, dtype=np.int64),
@@ -59,7 +58,8 @@ def mixed_samples(scene, times, left=None, *, nodes, hold, relax_every):
     # a crossing on the very edge of an interval belongs to it, whatever its rounding
     slack = 1e-9 * step.min()
     relax = LineRelaxation(scene.road.diffusivity, length)
-    stretch = _stretch(scene.headway_time, nodes, cars, plans)  # of the start: the same wherever a run goes on from
+    # of the start: the same wherever a run goes on from
+    stretch = _stretch(scene.headway_time, nodes, whole, due, plans)
     # without relaxation an interval is only what is done at a time
     interval = scene.headway_time * (max(1, AT_A_TIME // nodes) if relax.still else relax_every)
 
@@ -113,13 +113,12 @@ def mixed_samples(scene, times, left=None, *, nodes, hold, relax_every):
         taken, i = taken + 1, 0
 
 
-def _stretch(headway_time, nodes, cars, plans) -> float:
+def _stretch(headway_time, nodes, whole, due, plans) -> float:
     """How long units last: longer ones cost less a node, until they wait for each other. By a trial of the first."""
-    order, place, crossed, first_due, step, number, *_ = cars
     best, stretch = np.inf, STRETCHES[-1] * headway_time
     for headways in STRETCHES:
-        trial = order.copy(), place.copy(), crossed.copy()
-        units, ranking, total = plan(headways * headway_time, nodes, *trial, first_due, step, number, *plans)
+        *trial, number = whole.copy()
+        units, ranking, total = plan(headways * headway_time, nodes, *trial, *due, number, *plans, 0)
         if total < 1:
             continue
         units = units[ranking[:total]]
@@ -127,7 +126,7 @@ def _stretch(headway_time, nodes, cars, plans) -> float:
         first = np.flatnonzero(place_in_level % LANES == 0)
         width = np.diff(first, append=total)
         cost = (units[first, LENGTH] * (ROW + LANE * width)).sum() + UNIT * total
-        cost += OVERTAKE * (total - np.count_nonzero(trial[2] > crossed))
+        cost += OVERTAKE * (total - np.count_nonzero(trial[2] > whole[2]))
         if cost < best * units[:, LENGTH].sum():
             best, stretch = cost / units[:, LENGTH].sum(), headways * headway_time
     return stretch

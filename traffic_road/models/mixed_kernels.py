@@ -9,6 +9,8 @@ numbers. Indices of the inner loops are unsigned, as there.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numba import uint64
 
@@ -17,7 +19,7 @@ from ..laws import BOUNDED, CONSTANT
 from ..schemes.passage import contact_height
 from .even_layout import COMPILE, aligned
 from .lanes import LANES, copy_in, copy_out
-from .mixed_order import CAR, LENGTH, LEVEL, START, plan
+from .mixed_order import CAR, LENGTH, LEVEL, START, plan_until
 
 VECTOR = 8
 ROWS = 64
@@ -170,16 +172,17 @@ def _leave(body, car, t, i):
 
 
 @njit(**COMPILE)
-def cross_units(road, body, table, kind_of, units, ranking, total, work, hold, kind, law, lift_off):
+def cross_units(
+    road, body, table, kind_of, units, ranking, total, heights, t, lane, hold, kind, value, shape, lift_off
+):
     """Every unit crosses its nodes, level by level.
 
-    body (cars * 8): passages without contact, f, f_-1, contact heights, newest first. table: `coefficients`, flat. work: see
-    `workspace`. hold, kind: tuples of as many zeros, which the compiler knows. law: (value, shape).
+    body (cars * 8): passages without contact, f, f_-1, contact heights, newest first. table: `coefficients`, flat.
+    heights, t, lane: see `workspace`. hold, kind: tuples of as many zeros, which the compiler knows. Returns the passages done.
     """
-    heights, t, car, start, length = work
-    value, shape = law
+    car, start, length = lane[0], lane[1], lane[2]
     slack = 0.0 if lift_off else np.inf
-    first = 0
+    first = done = 0
     while first < total:
         level = units[ranking[first], LEVEL]
         count = 0
@@ -190,6 +193,7 @@ def cross_units(road, body, table, kind_of, units, ranking, total, work, hold, k
                 car[i], start[i], length[i] = car[i - 1], start[i - 1], length[i - 1]
                 i -= 1
             car[i], start[i], length[i] = units[unit, CAR], units[unit, START], units[unit, LENGTH]
+            done += units[unit, LENGTH]
             count += 1
         _enter(body, table, kind_of, car, start, count, t, len(hold) > 3 or len(kind) != CONSTANT)
         live = count
@@ -216,37 +220,24 @@ def cross_units(road, body, table, kind_of, units, ranking, total, work, hold, k
                     _leave(body, car[live], t, uint64(live))
             _copy_nodes(heights, road, start, length, here, piece, True)
         first += count
+    return done
 
 
-@njit(**COMPILE)
 def workspace():
     """Heights under the lanes, the lanes' table, and what is in each lane: car, first node, number of nodes."""
-    lane = np.zeros((3, LANES), np.uint64)
-    return aligned(ROWS * LANES), aligned(3 * RECORD * LANES), lane[0], lane[1], lane[2]
+    return aligned(ROWS * LANES), aligned(3 * RECORD * LANES), np.zeros((3, LANES), np.uint64)
 
 
-@njit(**COMPILE)
 def cross_until(begin, end, stretch, road, cars, table, plans, work, hold, kind, law, lift_off):
     """All passages due after `begin` and at `end` or before, in stretches of time of at most `stretch`.
 
-    cars: order, place, crossed, first_due, step, number of `plan`, kind_of, and body of `cross_units`. plans: spare,
-    touched, top, units, ranking of `plan`. Returns the passages done.
+    cars: `whole` and `due` of `plan_until`, kind_of and body of `cross_units`. plans: spare, touched, top, units, ranking of
+    `plan`. law: (value, shape). Returns the passages done. Not compiled, or `plan` would be for each hold and law.
     """
-    order, place, crossed, first_due, step, number, kind_of, body = cars
-    spare, touched, top, units, ranking = plans
-    done = 0
-    parts = max(1, int(np.ceil((end - begin) / stretch - 0.25)))
-    part = 0
+    whole, due, kind_of, body = cars
+    done = part = 0
+    parts = max(1, math.ceil((end - begin) / stretch - 0.25))
     while part < parts:
-        until = end if part + 1 == parts else begin + (part + 1) * (end - begin) / parts
-        units, ranking, total = plan(
-            until, road.size, order, place, crossed, first_due, step, number, spare, touched, top, units, ranking
-        )
-        if total < 0:
-            part, parts = 2 * part, 2 * parts
-            continue
-        for n in range(total):
-            done += units[n, LENGTH]
-        cross_units(road, body, table, kind_of, units, ranking, total, work, hold, kind, law, lift_off)
-        part += 1
+        units, ranking, total, part, parts = plan_until(begin, end, part, parts, road.size, whole, due, *plans)
+        done += cross_units(road, body, table, kind_of, units, ranking, total, *work, hold, kind, *law, lift_off)
     return done

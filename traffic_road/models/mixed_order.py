@@ -22,6 +22,7 @@ from .mixed_overtakes import INLINE, OPTIONS, longer, overtakes, stay_in_order
 CAR, START, LENGTH, LEVEL = range(4)  # columns of `units`; START in [0, nodes)
 RESET = 2**30
 CLASSES = 64
+AHEAD = 1024  # units from which on `plan_until` makes no more of them at once: they stay in the second-level cache
 GRAIN = 2  # levels are kept by every 2**GRAIN nodes: units that share so many wait for each other, too
 
 
@@ -174,30 +175,30 @@ def _in_line(first, end, order, nodes, place, reach, base, most, units, total):
 
 
 @njit(**OPTIONS)
-def _rank_units(units, total, base, ranking):
-    """ranking[:total] <- the units by level, the longer first (lengths in classes)."""
+def _rank_units(units, first, total, base, ranking):
+    """ranking[first:total] <- the units from `first` on by level, the longer first (lengths in classes)."""
     longest, levels = 0, 0
-    for n in range(total):
+    for n in range(first, total):
         longest = max(longest, units[n, LENGTH])
         levels = max(levels, units[n, LEVEL] - base)
     shift = 0
     while longest >> shift >= CLASSES:
         shift += 1
     room = np.zeros(levels * CLASSES + 1, np.int64)
-    for n in range(total):
+    for n in range(first, total):
         room[(units[n, LEVEL] - base - 1) * CLASSES + ((longest - units[n, LENGTH]) >> shift) + 1] += 1
     for key in range(1, room.size):
         room[key] += room[key - 1]
-    for n in range(total):
+    for n in range(first, total):
         key = (units[n, LEVEL] - base - 1) * CLASSES + ((longest - units[n, LENGTH]) >> shift)
-        ranking[room[key]] = n
+        ranking[first + room[key]] = n
         room[key] += 1
     return levels
 
 
 @njit(**OPTIONS)
-def plan(until, nodes, order, place, crossed, first_due, step, number, spare, touched, top, units, ranking):
-    """The units of all passages due at `until` or before, and the cars moved there.
+def plan(until, nodes, order, place, crossed, first_due, step, number, spare, touched, top, units, ranking, made):
+    """The units of all passages due at `until` or before, after `made` that are there already, and the cars moved there.
 
     order (cars,): cars in ascending order. place, crossed (cars,): the next node of each and the nodes crossed so far;
     car c crosses its n-th node, from 0, at first_due[c] + n * step[c]; number (cars,) tells which goes first at the same time.
@@ -217,7 +218,7 @@ def plan(until, nodes, order, place, crossed, first_due, step, number, spare, to
     base = top[0]
     events, time = np.empty((64, 3), np.int64), np.empty(64)
     most = (order.size + LANES - 1) // LANES
-    total = end = np.int64(0)  # with a plain 0 all that is called below would be compiled for that constant, too
+    total, end = made, np.int64(0)  # with a plain 0 all that is called below would be compiled for that constant, too
     while end < order.size:
         # cars that have nothing to do with those before and behind: no common nodes
         first, beyond = end, reach[order[end]]
@@ -241,9 +242,35 @@ def plan(until, nodes, order, place, crossed, first_due, step, number, spare, to
         for r in range(first, end):
             order[r] = after[r]
     if ranking.size < units.shape[0]:
-        ranking = np.empty(units.shape[0], np.int64)
-    top[0] += _rank_units(units, total, base, ranking)
+        longer_ranking = np.empty(units.shape[0], np.int64)
+        for n in range(made):
+            longer_ranking[n] = ranking[n]
+        ranking = longer_ranking
+    top[0] += _rank_units(units, made, total, base, ranking)
     for car in range(uint64(place.size)):
         crossed[car] += reach[car] - place[car]
         place[car] = reach[car]
     return units, ranking, total
+
+
+@njit(**OPTIONS)
+def plan_until(begin, end, part, parts, nodes, whole, due, spare, touched, top, units, ranking):
+    """`plan` for the parts from `part` on, of `parts` from `begin` to `end`, until there are AHEAD units.
+
+    whole: order, place, crossed, number; due: first_due, step (a call unpacks each array: few are quick). Returns units,
+    ranking, their number, and the part and the parts to go on with: these are more where one was too long. Units of a part
+    stand behind those of the parts before.
+    """
+    order, place, crossed, number, first_due, step = whole[0], whole[1], whole[2], whole[3], due[0], due[1]
+    total = np.int64(0)
+    while part < parts and total < AHEAD:
+        until = end if part + 1 == parts else begin + (part + 1) * (end - begin) / parts
+        units, ranking, made = plan(
+            until, nodes, order, place, crossed, first_due, step, number, spare, touched, top, units, ranking, total
+        )
+        if made < 0:
+            part, parts = 2 * part, 2 * parts
+            continue
+        part += 1
+        total = made
+    return units, ranking, total, part, parts
