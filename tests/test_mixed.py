@@ -7,10 +7,14 @@ import pytest
 from heap import heap_cars
 
 import traffic_road as tr
-from traffic_road.models import Sample, mixed_order
+from traffic_road.laws import EXPONENTIAL
+from traffic_road.models import Sample, mixed_order, mixed_rows
 from traffic_road.models.cars_mixed import mixed_samples
+from traffic_road.models.lanes import LANES
 from traffic_road.models.line_relaxation import LEAST, LineRelaxation, relax_by_levels
+from traffic_road.models.mixed_rows import CLOSE, FURTHEST, RECORD, harden_row, sink
 from traffic_road.schemes.oscillator import settled, settled_at
+from traffic_road.schemes.passage import contact_height
 from traffic_road.schemes.relaxation import ALIASED, TAIL, relax_transform, symbol
 
 
@@ -77,7 +81,7 @@ def test_with_relaxation_between(name, every):
     agree(scene(cars, length=length, diffusivity=0.02), 11.0, nodes=round(4 * length), relax_every=every)
 
 
-@pytest.mark.parametrize(("hold", "softness"), [(5, 0.02), (1, tr.Bounded(0.02, 3.0))])
+@pytest.mark.parametrize(("hold", "softness"), [(5, 0.02), (1, tr.Bounded(0.02, 3.0)), (3, tr.Exponential(0.02, 0.3))])
 def test_other_holds_and_laws(hold, softness):
     length, cars = FLEETS["a cluster of mixed speeds"]
     assert agree(scene(cars, length=length, softness=softness), 9.3, nodes=210, hold=hold) > 0
@@ -151,3 +155,38 @@ def test_an_undamped_car_at_resonance_is_named():
     road = np.sin(2 * np.pi * np.arange(64) / 64)
     with pytest.raises(tr.SceneError, match="undamped car of speed 2 and frequency 1"):
         settled_at(np.zeros(2, int), road, 4 * np.pi, *np.array([(1.0, 2.0), (1.0, 1.0), (0.0, 0.0)]), 0.1)
+
+
+@pytest.mark.parametrize(("value", "shape"), [(0.006, 0.1), (0.05, 0.5), (0.5, 2.0)])
+def test_rows_that_harden_are_the_iteration(value, shape):
+    draw = np.random.default_rng(4)
+    half, b, beyond = 0.4, 1e-3, 0
+    for before, down in zip(draw.uniform(-3, 1, 3000), 8 * draw.uniform(size=3000) ** 3 - 1.2, strict=True):
+        z_star = before - down
+        wanted = contact_height(before, z_star, b, half, 1.0, EXPONENTIAL, value, shape, True)
+        x, further = sink(before, z_star, b, half, 1.0, value * np.exp(shape * before), shape, 0.0)
+        if further <= CLOSE * (abs(before) + abs(x)) and abs(shape * x) <= FURTHEST:
+            assert before + x == pytest.approx(wanted, abs=4e-16 * (1 + abs(before)))
+        else:
+            beyond += 1
+    assert (100 < beyond < 2900) == (value > 0.01)  # both sides of the guard, but on a road that hardly hardens
+
+
+@pytest.mark.parametrize("least", [0.0, -np.inf])
+def test_one_row_where_one_car_asks_for_more_is_solved_for_all(least):
+    """A row of two vectors: heights, and forces by which nothing sinks, a little, and by far too much for a series."""
+    wide, slack, t = np.uint64(16), -least, np.zeros(3 * RECORD * LANES)
+    rows = t.reshape(3 * RECORD, LANES)
+    before = np.linspace(-1.0, 1.0, 16)
+    rows[mixed_rows.F // LANES, :16] = before - np.tile([-2.0, 0.5, 3.0, 40.0], 4)
+    for row, number in ((mixed_rows.B, 1e-3), (mixed_rows.HALF, 0.4), (mixed_rows.OMEGA2, 1.0), (mixed_rows.E0, 1.0)):
+        rows[row // LANES] = number
+    heights, z_star = np.pad(before, (0, LANES - 16)), rows[mixed_rows.F // LANES, :16].copy()
+    harden_row(heights, np.uint64(0), t, wide, (0,), 0.1, 0.5, slack)
+    wanted = [
+        contact_height(h, z, 1e-3, 0.4, 1.0, EXPONENTIAL, 0.1, 0.5, least == 0.0)
+        for h, z in zip(before, z_star, strict=True)
+    ]
+    np.testing.assert_allclose(heights[:16], 2 * np.array(wanted) - before, rtol=1e-15, atol=1e-15)
+    np.testing.assert_allclose(rows[mixed_rows.H0 // LANES, :16], wanted, rtol=1e-15, atol=1e-15)
+    assert rows[mixed_rows.LOST // LANES].sum() == (4 if least == 0.0 else 0)

@@ -3,8 +3,7 @@
 Up to LANES units that touch no common node are copied into a table whose rows are nodes and whose columns are units, so
 that the loop over a row is the same arithmetic on contiguous numbers; afterwards the nodes are copied back. ROWS at a time:
 the table stays in the first-level cache. Units stand in order of length, the longest first: one that has ended leaves its
-state where it is and the row shortens, by whole vectors. Cars go by the recursion of `even_kernels`, each with its own
-numbers. Indices of the inner loops are unsigned, as there.
+state where it is and the row shortens, by whole vectors. Indices of the inner loops are unsigned, as in `mixed_rows`.
 """
 
 from __future__ import annotations
@@ -15,23 +14,16 @@ import numpy as np
 from numba import uint64
 
 from ..compiled import njit
-from ..laws import BOUNDED, CONSTANT
-from ..schemes.passage import contact_height
+from ..laws import BOUNDED, CONSTANT, EXPONENTIAL
 from .even_layout import COMPILE, aligned
 from .lanes import LANES, copy_in, copy_out
 from .mixed_order import CAR, LENGTH, LEVEL, START, plan_until
+from .mixed_rows import E4, F1, H0, H1, H2, H3, H4, LOST, RECORD, F, L, S, cross_rows, harden_row
 
 VECTOR = 8
 ROWS = 64
 FAINT = 1e-9  # softness of a passage below which a force is lost in the rounding of the road, and no count of it kept
 N1, N2, N3, N4, N5, N6, N7, N8 = (np.uint64(n) for n in range(1, 9))
-L = np.uint64(LANES)
-# rows of the lanes' table, eight of a record each: a car's passages without contact, f, f_-1, contact heights (newest
-# first); then numbers of its kind, of which the linear and cubic holds with constant softness need but the first record
-RECORD = 8
-LOST, F, F1, H0, H1, H2, H3, H4 = (np.uint64(n * LANES) for n in range(RECORD))
-S, C0, T, D, E0, E1, E2, E3 = (np.uint64(n * LANES) for n in range(RECORD, 2 * RECORD))
-E4, E5, B, HALF, OMEGA2 = (np.uint64(n * LANES) for n in range(2 * RECORD, 2 * RECORD + 5))
 ONE = np.uint64(RECORD)
 
 
@@ -68,44 +60,6 @@ def coefficients(A, B, half, omega2, law):
     others = np.column_stack((newest, half, omega2, np.zeros((len(A), 3))))
     table = np.column_stack((numbers, others))
     return kind, table[:, :RECORD] if kind == CONSTANT and hold < 5 else table, factor, offset
-
-
-@njit(**COMPILE)
-def _cross_rows(heights, at, t, wide, rows, hold, kind, value, shape, slack):
-    """The units of the first `wide` lanes of the table t cross the nodes whose heights begin at `at`, `rows` of them."""
-    for i in range(wide):
-        lost, f, f1, h0, h1, h2, h3, h4 = t[LOST + i], t[F + i], t[F1 + i], t[H0 + i], 0.0, 0.0, 0.0, 0.0
-        c0, trace, determinant, e0, e1 = t[C0 + i], t[T + i], t[D + i], t[E0 + i], t[E1 + i]
-        s, b, half, omega2 = t[S + i], t[B + i], t[HALF + i], t[OMEGA2 + i]
-        if len(hold) > 1:
-            h1, h2, e2, e3 = t[H1 + i], t[H2 + i], t[E2 + i], t[E3 + i]
-        if len(hold) > 3:
-            h3, h4, e4, e5 = t[H3 + i], t[H4 + i], t[E4 + i], t[E5 + i]
-        for r in range(uint64(len(rows))):
-            before = heights[at + r * L + i]
-            if len(kind) == CONSTANT:
-                pressed = s * before + f
-                ceiling = before + slack
-                h = ceiling if ceiling < pressed else pressed  # in this order a NaN is kept
-                lost += 1.0 if ceiling < pressed else 0.0
-            else:
-                h = contact_height(before, f, b, half, omega2, len(kind), value, shape, slack == 0.0)
-                unloaded = 1.0 + omega2 * (before - f - b * before) <= 0.0
-                lost += 1.0 if slack == 0.0 and unloaded else 0.0
-            heights[at + r * L + i] = 2.0 * h - before
-            # the newest height last: the others are known while it is awaited
-            g = e0 * h + (trace * f + (determinant * f1 + (e1 * h0 + c0)))
-            if len(hold) > 1:
-                g += e2 * h1 + e3 * h2
-            if len(hold) > 3:
-                g += e4 * h3 + e5 * h4
-            f, f1 = g, f
-            h4, h3, h2, h1, h0 = h3, h2, h1, h0, h
-        t[LOST + i], t[F + i], t[F1 + i], t[H0 + i] = lost, f, f1, h0
-        if len(hold) > 1:
-            t[H1 + i], t[H2 + i] = h1, h2
-        if len(hold) > 3:
-            t[H3 + i], t[H4 + i] = h3, h4
 
 
 @njit(**COMPILE)
@@ -206,14 +160,17 @@ def cross_units(
             while live > 0 and r < until:
                 wide = uint64((live + VECTOR - 1) // VECTOR * VECTOR)
                 end = min(length[live - 1], until)
+                while len(kind) == EXPONENTIAL and r < end:
+                    harden_row(heights, (r - begin) * L, t, wide, hold, value, shape, slack)
+                    r += N1
                 while r + N4 <= end:
-                    _cross_rows(heights, (r - begin) * L, t, wide, (0, 0, 0, 0), hold, kind, value, shape, slack)
+                    cross_rows(heights, (r - begin) * L, t, wide, (0, 0, 0, 0), hold, kind, value, shape, slack)
                     r += N4
                 if r + N2 <= end:
-                    _cross_rows(heights, (r - begin) * L, t, wide, (0, 0), hold, kind, value, shape, slack)
+                    cross_rows(heights, (r - begin) * L, t, wide, (0, 0), hold, kind, value, shape, slack)
                     r += N2
                 while r < end:
-                    _cross_rows(heights, (r - begin) * L, t, wide, (0,), hold, kind, value, shape, slack)
+                    cross_rows(heights, (r - begin) * L, t, wide, (0,), hold, kind, value, shape, slack)
                     r += N1
                 while live > 0 and length[live - 1] == end:
                     live -= 1
