@@ -1,6 +1,9 @@
 """Compiled code on the disk: what is read back is what was compiled, whoever else compiles, or is killed, meanwhile."""
 
+import os
 import re
+import subprocess
+import sys
 from importlib.util import find_spec, module_from_spec
 from pathlib import Path
 
@@ -80,3 +83,16 @@ def test_nothing_is_compiled_without():
     assert [name for name, text in sources.items() if re.search(r"^from numba import .*jit", text, re.M)] == [
         "compiled.py"
     ]
+
+
+@pytest.mark.skipif(not Path("/proc/self/maps").exists(), reason="tells what is loaded on Linux alone")
+@pytest.mark.parametrize(
+    ("given", "spins"), [({}, "2000"), ({"GOMP_SPINCOUNT": "7"}, "7"), ({"OMP_WAIT_POLICY": "active"}, None)]
+)
+def test_threads_let_go_of_the_processor(given, spins):
+    """Said before OpenMP is loaded, which reads it but once; what the user has said stays."""
+    loaded = "'gomp' in open('/proc/self/maps').read()"
+    code = f"import os, traffic_road.models.cars; print(os.environ.get('GOMP_SPINCOUNT'), {loaded})"
+    plain = {name: value for name, value in os.environ.items() if name not in ("GOMP_SPINCOUNT", "OMP_WAIT_POLICY")}
+    done = subprocess.run([sys.executable, "-c", code], env=plain | given, capture_output=True, text=True, check=True)
+    assert done.stdout.split() == [str(spins), "False"]

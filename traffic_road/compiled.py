@@ -4,16 +4,24 @@ numba numbers the specialisations of a function as they are compiled, writes the
 of that number. Two processes that compile different ones take the same number, and from then on one is run in the place of
 the other, without a word (numba issues 4807 and 10128); so is the code of an older source, after a process that ended in
 between. Here the file's number is a digest of what the code was compiled from, and the code is written before the index.
+
+Threads that wait for each other spin, by GNU's OpenMP for some 3 ms, before they let go of the processor: beside another job
+that has it, the one that they wait for does not come to run, and two threads took up to a hundred times as long as one.
+After 20 microseconds, between passages and relaxation, they have met or should let go.
 """
 
 from __future__ import annotations
 
+import os
 from hashlib import sha256
 
 from numba import njit
 from numba.core.caching import IndexDataCacheFile
 
 __all__ = ["njit"]
+
+if "OMP_WAIT_POLICY" not in os.environ:
+    os.environ.setdefault("GOMP_SPINCOUNT", "2000")  # read when the first parallel loop is loaded
 
 
 def _save(self, key, data) -> None:
