@@ -5,8 +5,8 @@ from __future__ import annotations
 from itertools import pairwise
 
 import numpy as np
-from numba import njit
 
+from traffic_road.compiled import njit
 from traffic_road.models.cars_state import kinds, node_behind, start
 from traffic_road.models.line_relaxation import LineRelaxation
 from traffic_road.schemes import oscillator

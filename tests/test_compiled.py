@@ -2,6 +2,7 @@
 
 import os
 import re
+import shutil
 import subprocess
 import sys
 from importlib.util import find_spec, module_from_spec
@@ -10,7 +11,8 @@ from pathlib import Path
 import pytest
 from numba.core import caching
 
-import traffic_road.compiled  # replaces what numba's own cache would do
+from traffic_road import compiled  # replaces what numba's own cache would do
+from traffic_road.models import even_layout
 
 
 def own():
@@ -78,11 +80,32 @@ def test_numba_still_needs_this(tmp_path):
 
 
 def test_nothing_is_compiled_without():
-    sources = {path.name: path.read_text() for path in Path(traffic_road.compiled.__file__).parent.rglob("*.py")}
+    sources = {path.name: path.read_text() for path in Path(compiled.__file__).parent.rglob("*.py")}
     assert sum("@njit(" in text for text in sources.values()) > 5
-    assert [name for name, text in sources.items() if re.search(r"^from numba import .*jit", text, re.M)] == [
-        "compiled.py"
-    ]
+    assert [
+        name for name, text in sources.items() if re.search(r"^from numba import .*jit|numba\.njit", text, re.M)
+    ] == ["compiled.py"]
+
+
+def test_code_is_as_old_as_all_that_it_is_made_of(tmp_path):
+    package = Path(compiled.__file__).parent
+    known = set(compiled.sources(package))
+    made = [path for path in package.rglob("*.py") if "@njit(" in path.read_text()]
+    # and what those files take constants from, or functions
+    for path in made:
+        for module in re.findall(r"^from (\.+[\w.]*) import", path.read_text(), re.M):
+            dots = len(module) - len(module.lstrip("."))
+            found = path.parents[dots - 1].joinpath(*module[dots:].split("."))
+            named = found.with_suffix(".py") if found.with_suffix(".py").exists() else found / "__init__.py"
+            made += [named] if named not in made and named.name not in ("compiled.py", "errors.py") else []
+    assert known >= set(made) - {package / "compiled.py"}, set(made) - known
+    shutil.copytree(package, tmp_path / "copy", ignore=shutil.ignore_patterns("__pycache__"))
+    assert compiled.age(tmp_path / "copy") == compiled.AGE
+    for name in ("laws.py", "models/even_layout.py", "schemes/passage.py"):
+        path, before = tmp_path / "copy" / name, compiled.age(tmp_path / "copy")
+        path.write_text(path.read_text() + "\n")
+        assert compiled.age(tmp_path / "copy") != before
+    assert even_layout.place._cache._cache_file._source_stamp[1] == compiled.AGE
 
 
 @pytest.mark.skipif(not Path("/proc/self/maps").exists(), reason="tells what is loaded on Linux alone")

@@ -5,6 +5,9 @@ of that number. Two processes that compile different ones take the same number, 
 the other, without a word (numba issues 4807 and 10128); so is the code of an older source, after a process that ended in
 between. Here the file's number is a digest of what the code was compiled from, and the code is written before the index.
 
+What a function calls becomes part of its code, and so do constants, from whatever file; numba looks at the function's own
+alone, and after an upgrade that leaves this as it is would run the old code of others. Here it is as old as any of `sources`.
+
 Threads that wait for each other spin, by GNU's OpenMP for some 3 ms, before they let go of the processor: beside another job
 that has it, the one that they wait for does not come to run, and two threads took up to a hundred times as long as one.
 After 20 microseconds, between passages and relaxation, they have met or should let go.
@@ -13,12 +16,12 @@ After 20 microseconds, between passages and relaxation, they have met or should 
 from __future__ import annotations
 
 import os
+from collections.abc import Callable
 from hashlib import sha256
+from pathlib import Path
 
-from numba import njit
+import numba
 from numba.core.caching import IndexDataCacheFile
-
-__all__ = ["njit"]
 
 if "OMP_WAIT_POLICY" not in os.environ:
     os.environ.setdefault("GOMP_SPINCOUNT", "2000")  # read when the first parallel loop is loaded
@@ -33,3 +36,31 @@ def _save(self, key, data) -> None:
 
 
 IndexDataCacheFile.save = _save
+
+
+FOLDERS = "models", "schemes", "theory"
+
+
+def sources(package: Path) -> list[Path]:
+    """The files that compiled code is made of."""
+    return [package / "laws.py", *(path for folder in FOLDERS for path in sorted(package.glob(f"{folder}/*.py")))]
+
+
+def age(package: Path) -> str:
+    """Another one after any change of `sources`."""
+    return sha256(b"".join(sha256(path.read_bytes()).digest() for path in sources(package))).hexdigest()
+
+
+AGE = age(Path(__file__).parent)
+
+
+def njit(**options) -> Callable:
+    """numba's, with `cache` among its options."""
+
+    def compiled(function):
+        dispatcher = numba.njit(**options)(function)
+        file = dispatcher._cache._cache_file
+        file._source_stamp = file._source_stamp, AGE
+        return dispatcher
+
+    return compiled
