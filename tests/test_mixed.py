@@ -12,7 +12,7 @@ from traffic_road.models import Sample, mixed_order, mixed_rows
 from traffic_road.models.cars_mixed import mixed_samples
 from traffic_road.models.lanes import LANES
 from traffic_road.models.line_relaxation import LEAST, LineRelaxation, relax_by_levels
-from traffic_road.models.mixed_rows import CLOSE, FURTHEST, RECORD, harden_row, sink
+from traffic_road.models.mixed_rows import CLOSE, FURTHEST, MOST, RECORD, exponential, harden_row, sink
 from traffic_road.schemes.oscillator import settled, settled_at
 from traffic_road.schemes.passage import contact_height
 from traffic_road.schemes.relaxation import ALIASED, TAIL, relax_transform, symbol
@@ -164,7 +164,8 @@ def test_rows_that_harden_are_the_iteration(value, shape):
     for before, down in zip(draw.uniform(-3, 1, 3000), 8 * draw.uniform(size=3000) ** 3 - 1.2, strict=True):
         z_star = before - down
         wanted = contact_height(before, z_star, b, half, 1.0, EXPONENTIAL, value, shape, True)
-        x, further = sink(before, z_star, b, half, 1.0, value * np.exp(shape * before), shape, 0.0)
+        weight, effect = max(0.0, 1.0 + before - z_star - b * before), half * value * np.exp(shape * before)
+        x, further = sink(weight, effect, 1 / (1 + effect * (1 - b)), 1 - b, shape)
         if further <= CLOSE * (abs(before) + abs(x)) and abs(shape * x) <= FURTHEST:
             assert before + x == pytest.approx(wanted, abs=4e-16 * (1 + abs(before)))
         else:
@@ -190,3 +191,9 @@ def test_one_row_where_one_car_asks_for_more_is_solved_for_all(least):
     np.testing.assert_allclose(heights[:16], 2 * np.array(wanted) - before, rtol=1e-15, atol=1e-15)
     np.testing.assert_allclose(rows[mixed_rows.H0 // LANES, :16], wanted, rtol=1e-15, atol=1e-15)
     assert rows[mixed_rows.LOST // LANES].sum() == (4 if least == 0.0 else 0)
+
+
+def test_exponentials():
+    z = np.concatenate((np.linspace(-MOST, MOST, 2001), np.random.default_rng(1).uniform(-3, 1, 2000), [0.0]))
+    np.testing.assert_allclose([exponential(number) for number in z], np.exp(z), rtol=5e-16)
+    assert exponential(0.0) == 1.0 and np.isnan(exponential(np.nan))

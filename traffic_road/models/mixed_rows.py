@@ -5,8 +5,6 @@ Cars go by the recursion of `even_kernels`, each with its own numbers. Indices a
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 from numba import uint64
 
@@ -17,8 +15,10 @@ from .even_layout import COMPILE
 from .even_passages import met_bounded
 from .lanes import LANES
 
-NEWTON = 2  # steps, after a first one from the height before
 FURTHEST = 0.05  # shape x up to which the series of an exponential is right to 1e-16 of the softness
+MOST = 700.0  # of the argument of an exponential
+PER_LOG_2, LOG_2, LOG_2_REST = 1.4426950408889634, 0.6931471803691238, 1.9082149292705877e-10
+WHOLE = 1.5 * 2.0**52
 CLOSE = 1e-16  # of the heights: what a step more may still change
 L = np.uint64(LANES)
 # rows of the lanes' table, eight of a record each: a car's passages without contact, f, f_-1, contact heights (newest
@@ -27,7 +27,7 @@ RECORD = 8
 LOST, F, F1, H0, H1, H2, H3, H4 = (np.uint64(n * LANES) for n in range(RECORD))
 S, C0, T, D, E0, E1, E2, E3 = (np.uint64(n * LANES) for n in range(RECORD, 2 * RECORD))
 E4, E5, B, HALF, OMEGA2 = (np.uint64(n * LANES) for n in range(2 * RECORD, 2 * RECORD + 5))
-CONTACT = np.uint64((2 * RECORD + 5) * LANES)  # a row to spare
+CONTACT, EFFECT, SHARE = (np.uint64(n * LANES) for n in range(2 * RECORD + 5, 3 * RECORD))  # rows to spare
 
 
 @njit(**COMPILE)
@@ -72,39 +72,58 @@ def cross_rows(heights, at, t, wide, rows, hold, kind, value, shape, slack):
 
 
 @njit(**COMPILE)
-def sink(H, z_star, b, half, omega2, alpha, shape, least):
+def sink(weight, E, k, g, shape):
     """x = h - H for the softness alpha exp(shape x), and what one of Newton's steps more would change of it, about.
 
-    x + E exp(shape x) (w + g x) = 0 with E = half alpha, g = omega^2 (1 - b) and w the force at H, `least` at least. The
-    exponential is a series: with x, what a node sinks, it is as good as exact, and all is one loop over the cars of a row.
+    x + E exp(shape x) (weight + g x) = 0 with E = half alpha, g = omega^2 (1 - b), k = 1/(1 + E g), weight the force at H.
+    The series of `even_passages.met_exponential`, without its last term, and one step of Newton with a series for the
+    exponential: all in one loop over the cars of a row, and with one division that waits for the car.
     """
-    weight = 1.0 + omega2 * (H - z_star - b * H)
-    w = least if weight < least else weight
-    E, g = half * alpha, omega2 * (1.0 - b)
-    x = -E * w / (1.0 + E * (g + shape * w))
-    step = 0.0
-    for _ in range(NEWTON):
-        t = shape * x
-        e = E * (1.0 + t * (1.0 + t * (1 / 2 + t * (1 / 6 + t * (1 / 24 + t * (1 / 120 + t * (1 / 720 + t / 5040)))))))
-        force = w + g * x
-        step = (x + e * force) / (1.0 + e * (g + shape * force))
-        x -= step
-    return x, shape * step * step
+    x = -E * k * weight
+    t = shape * x
+    c3, c4 = 1 / 6 + k * (5.0 * k - 2.5), k * (1.75 + k * (14.0 * k - 10.5)) - 1 / 24
+    x += x * k * t * (1.0 + t * (2.0 * k - 0.5 + t * (c3 + t * c4)))
+    t = shape * x
+    square = t * t
+    low, high = 1.0 + t + square * (1 / 2 + t / 6), 1 / 24 + t / 120 + square * (1 / 720 + t / 5040)
+    e = E * (low + square * square * high)
+    force = weight + g * x
+    step = (x + e * force) / (1.0 + e * (g + shape * force))
+    return x - step, shape * step * step
+
+
+@njit(**COMPILE)
+def exponential(z):
+    """exp(z), |z| <= MOST, to 2 roundings: 2^n times a series of what is left. No call, of which no loop is vectorised.
+
+    Added to a number whose last digit is 1, z/log 2 is rounded to the whole n, which is found in the last bits of the sum.
+    """
+    sum = z * PER_LOG_2 + WHOLE
+    n = sum - WHOLE
+    r = (z - n * LOG_2) - n * LOG_2_REST
+    high = 1 / 5040 + r * (1 / 40320 + r * (1 / 362880 + r * (1 / 3628800 + r * (1 / 39916800 + r / 479001600))))
+    series = 1.0 + r * (1.0 + r * (1 / 2 + r * (1 / 6 + r * (1 / 24 + r * (1 / 120 + r * (1 / 720 + r * high))))))
+    return series * np.int64((np.float64(sum).view(np.int64) + 1023) << 52).view(np.float64)
 
 
 @njit(**COMPILE)
 def harden_row(heights, at, t, wide, hold, value, shape, slack):
     """`cross_rows` over one row where the softness is exponential."""
     for i in range(wide):
-        t[CONTACT + i] = value * math.exp(shape * heights[at + i])
-    poor = 0
+        E = t[HALF + i] * value * exponential(shape * heights[at + i])
+        t[EFFECT + i], t[SHARE + i] = E, 1.0 / (1.0 + E * t[OMEGA2 + i] * (1.0 - t[B + i]))
+    poor, least = 0, -slack
     for i in range(wide):
-        before, f, b, half, omega2 = heights[at + i], t[F + i], t[B + i], t[HALF + i], t[OMEGA2 + i]
-        x, further = sink(before, f, b, half, omega2, t[CONTACT + i], shape, -slack)
-        enough = further <= CLOSE * (abs(before) + abs(x)) and abs(shape * x) <= FURTHEST  # a NaN is not
-        poor += 0 if enough else 1
+        before, f, b, omega2 = heights[at + i], t[F + i], t[B + i], t[OMEGA2 + i]
+        weight = 1.0 + omega2 * (before - f - b * before)
+        t[LOST + i] += 1.0 if slack == 0.0 and weight <= 0.0 else 0.0
+        weight = least if weight < least else weight
+        x, further = sink(weight, t[EFFECT + i], t[SHARE + i], omega2 * (1.0 - b), shape)
+        enough = (
+            further <= CLOSE * (abs(before) + abs(x)) and abs(shape * x) <= FURTHEST and abs(shape * before) <= MOST
+        )
+        poor += 0 if enough else 1  # a NaN is not
         t[CONTACT + i] = before + x
-        t[LOST + i] += 1.0 if slack == 0.0 and 1.0 + omega2 * (before - f - b * before) <= 0.0 else 0.0
     if poor > 0:
         for i in range(wide):
             before, f, b, half, omega2 = heights[at + i], t[F + i], t[B + i], t[HALF + i], t[OMEGA2 + i]
