@@ -1,6 +1,7 @@
 """One way through: scene -> model -> Dataset -> analysis -> figure -> command line, theory beside. No import goes back."""
 
 import ast
+import re
 from pathlib import Path
 
 import traffic_road
@@ -143,6 +144,12 @@ def test_imports_are_seen():
     assert {"errors", "laws", "models/cars_even"} <= set(imports(ROOT / "models" / "cars.py"))
     assert "models/cars" in set(imports(ROOT / "theory" / "floquet.py"))  # inside a function
     assert {"run", "plots", "store"} <= set(imports(ROOT / "cli.py"))
+
+
+def test_what_takes_long_to_load_waits_until_it_is_asked_for():
+    # at the top of any module it would be loaded by every run, and by every process of a sweep
+    slow = re.compile(r"^(from|import) scipy\.(integrate|interpolate|optimize|sparse|stats)\b", re.M)
+    assert [path.name for path in ROOT.rglob("*.py") if slow.search(path.read_text(encoding="utf-8"))] == []
 
 
 def test_public_names_exist():

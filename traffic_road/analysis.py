@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import xarray as xr
-from scipy.interpolate import CubicSpline
 
 from .errors import SceneError, shown
 from .laws import finite
@@ -139,6 +138,8 @@ def coarse_grain(ds: xr.Dataset) -> xr.Dataset:
 
 
 def _periodic_spline(where, value, length, x):
+    from scipy.interpolate import CubicSpline  # not at the top: 0.2 s, and every plot would wait for it
+
     place, index = np.unique(where, return_inverse=True)
     mean = np.bincount(index, value) / np.bincount(index)  # cars over the same node count as one
     if place.size == 1:

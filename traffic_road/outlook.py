@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from scipy.integrate import cumulative_trapezoid
 
 from .laws import Constant
 from .models import linear
@@ -58,7 +57,9 @@ def takes_off(scene) -> float | None:
         rate = load * float(road.softness.derivative(height))
         terms = {"softness": float(softness), "diffusivity": float(road.diffusivity(height)), "hardening_rate": rate}
         rates.append(fleet_dispersion(k, fleet, **terms).real)
-    grown = cumulative_trapezoid(np.array(rates), times, axis=0, initial=0.0)
+    rates = np.array(rates)
+    grown = np.zeros_like(rates)
+    grown[1:] = np.cumsum(np.diff(times)[:, None] * (rates[1:] + rates[:-1]) / 2, axis=0)
     pressed = np.abs(response(1j * k * np.mean(fleet.per_car("speed") / fleet.per_car("frequency")), damping))
     with np.errstate(over="ignore"):
         stretch = wave * pressed * np.exp(grown)

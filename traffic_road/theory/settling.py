@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import xarray as xr
-from scipy.integrate import solve_ivp
 
 from ..errors import SceneError
 from ..laws import Bounded, Constant, as_law, checked, finite
@@ -53,6 +52,8 @@ def algebraic_exponent(k, *, softness, diffusivity, damping, hardening):
 
 
 def _full(law, damping, times, height):
+    from scipy.integrate import solve_ivp  # not at the top: 0.2 s, and every run would wait for it
+
     # the unknowns are the drop of the road, the car's height above the road and P = dZ/dt + 2 damping (Z - H): the last
     # two are small differences, which would drown in the rounding of H, Z
     def rates(_, y):

@@ -19,7 +19,6 @@ from __future__ import annotations
 
 import numpy as np
 import xarray as xr
-from scipy.optimize import brentq
 
 from ..errors import SceneError
 from ..laws import checked, finite, together, whole
@@ -273,6 +272,8 @@ def _root(function, low, high):
 
 
 def _fastest_exact(softness, diffusivity, damping, rate):
+    from scipy.optimize import brentq  # not at the top: 0.2 s, and every run would wait for it
+
     road = {"softness": softness, "diffusivity": diffusivity, "damping": damping, "hardening_rate": rate}
 
     def slope_at(k):

@@ -18,7 +18,6 @@ from __future__ import annotations
 
 import numpy as np
 import xarray as xr
-from scipy.optimize import brentq
 
 from ..errors import SceneError, TrafficRoadError
 from ..laws import finite, whole
@@ -137,6 +136,8 @@ def harmonic_balance(k: float, *, softness: float, diffusivity: float, damping: 
     whatever the softness. As 1/2 < N < 1 such waves exist between the neutral softness and twice that: SceneError
     outside. Own derivation; it explains the collapse of the velocities in Fig. 8.
     """
+    from scipy.optimize import brentq  # not at the top: 0.2 s, and every run would wait for it
+
     softness = finite("softness", softness, above=0)
     neutral = at_lift_off(k, diffusivity, damping, 1)
     share = neutral.softness / softness
