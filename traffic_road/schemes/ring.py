@@ -34,11 +34,16 @@ class Ring(NamedTuple):
         road, (Z, P, *past) = road.copy(), state
         A, B, omega2 = self.A, self.B, self.frequency**2
         for r in range(self.rows):
-            z_star = A[0, 0] * Z + A[0, 1] * P + sum(b * h for b, h in zip(B[0, 1:], past, strict=True))
-            p_star = A[1, 0] * Z + A[1, 1] * P + sum(b * h for b, h in zip(B[1, 1:], past, strict=True))
+            z_star, p_star = A[0, 0] * Z, A[1, 0] * Z
+            term = np.empty_like(z_star)  # in place: new arrays at every step cost more than the sums
+            for weights, values in zip((A[:, 1], *B.swapaxes(0, 1)[1:]), (P, *past), strict=True):
+                z_star += np.multiply(weights[0], values, out=term)
+                p_star += np.multiply(weights[1], values, out=term)
             before = road[:, r].copy()
             contact, road[:, r] = self.passage(before, z_star, B[0, 0], self.push, omega2, weight, lift_off)
-            Z, P = z_star + B[0, 0] * contact, p_star + B[1, 0] * contact
+            z_star += np.multiply(B[0, 0], contact, out=term)
+            p_star += np.multiply(B[1, 0], contact, out=term)
+            Z, P = z_star, p_star
             past = [contact, *past[:-1]]
         if self.factor is not None:
             nodes = self.cars * self.rows
