@@ -153,7 +153,8 @@ def _make_sweep(width, hold, kind, unroll, parallel, always, short):
         spare = aligned((FIELDS + hold + 1) * width).reshape(FIELDS + hold + 1, width)
         # what an exponential law may have to go back to; of all panels at once: to ask for room takes as long as some rows
         room = (unroll + 1 + hold) * width if kind == EXPONENTIAL else 0
-        saved, tallied = aligned(layout.panels * room), aligned(layout.panels * width).view(np.int64)
+        if kind == EXPONENTIAL:
+            saved, tallied = aligned(layout.panels * room), aligned(layout.panels * width).view(np.int64)
         deepest = min(DEEPEST, tiles)
         end_of_all = first + count
         piece = np.int64(unroll)  # no constant: `_carefully` would be compiled for each
