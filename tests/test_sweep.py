@@ -29,7 +29,8 @@ from traffic_road.sweeps.store import PointStore
 K, DIFFUSIVITY = 0.9, 0.01
 SMALL = replace(tr.preset("paper"), duration=60.0)
 OVER = {"road.softness": np.linspace(0.004, 0.006, 5), "fleet.damping": [0.1, -0.5, 0.3], "fleet.count": [7, 8]}
-START = "import sys; from traffic_road.cli import main; sys.exit(main())"
+# as where Dask is not installed: xarray loads it wherever it is, which takes each process most of a second
+START = 'import sys; sys.modules["dask"] = None; from traffic_road.cli import main; sys.exit(main())'
 ARGUMENTS = [
     "sweep",
     "small.toml",
