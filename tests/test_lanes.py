@@ -4,8 +4,10 @@ import numpy as np
 import pytest
 
 import traffic_road as tr
-from traffic_road.models.lane_filters import FIRST, MORE, down, smooth, up
-from traffic_road.models.lanes import ABREAST, LANES
+from traffic_road.models.even_filters import down, smooth, up
+from traffic_road.models.even_layout import NARROW, WIDTH
+from traffic_road.models.lane_filters import FIRST, MORE
+from traffic_road.models.lanes import LANES
 from traffic_road.models.line_relaxation import LEAST, LineRelaxation, relax_by_levels
 from traffic_road.models.mixed_kernels import ROWS, _copy_nodes
 from traffic_road.schemes.relaxation import LOW_PASS
@@ -63,9 +65,10 @@ def filtered(rows, weights):
     return np.apply_along_axis(np.convolve, 0, rows, whole, "valid")
 
 
+@pytest.mark.parametrize("lanes", [NARROW, WIDTH])
 @pytest.mark.parametrize("count", [1, 4, 5, 23])
 @pytest.mark.parametrize("pairs", [FIRST, FIRST + MORE, FIRST + 3 * MORE])
-def test_filters_along_lanes(count, pairs):
+def test_filters_along_lanes(count, pairs, lanes):
     draw = np.random.default_rng(count)
     low_pass, band = draw.standard_normal(LOW_PASS + 1), draw.standard_normal(pairs + 1)
     more = -count % 5  # rows that are worked out beyond the last
@@ -75,14 +78,14 @@ def test_filters_along_lanes(count, pairs):
         ("band", count + more + 2 * pairs),
         ("up", count + more + 10),
     ):
-        tables[name] = guarded(draw.standard_normal(rows * ABREAST))
-    found = {name: guarded(np.full((2 if name == "up" else 1) * (count + more) * ABREAST, np.nan)) for name in tables}
+        tables[name] = guarded(draw.standard_normal(rows * lanes))
+    found = {name: guarded(np.full((2 if name == "up" else 1) * (count + more) * lanes, np.nan)) for name in tables}
     first = LOW_PASS // 2 + 1
-    down(found["down"][0], tables["down"][0], count, low_pass)
-    smooth(found["band"][0], tables["band"][0], count, band)
-    up(found["up"][0], tables["up"][0], first, count, low_pass)
-    rows = {name: inside.reshape(-1, ABREAST) for name, (inside, _) in tables.items()}
-    finer = np.zeros((2 * (count + LOW_PASS) + 1, ABREAST))
+    down(found["down"][0], tables["down"][0], count, lanes, low_pass)
+    smooth(found["band"][0], tables["band"][0], count, lanes, band)
+    up(found["up"][0], tables["up"][0], first, count, lanes, low_pass)
+    rows = {name: inside.reshape(-1, lanes) for name, (inside, _) in tables.items()}
+    finer = np.zeros((2 * (count + LOW_PASS) + 1, lanes))
     finer[::2] = rows["up"][1 : count + LOW_PASS + 2]  # from four rows before the first on
     wanted = {
         "down": filtered(rows["down"], low_pass)[::2],
@@ -91,7 +94,7 @@ def test_filters_along_lanes(count, pairs):
     }
     for name, (inside, whole) in found.items():
         size = (2 if name == "up" else 1) * count
-        np.testing.assert_allclose(inside.reshape(-1, ABREAST)[:size], wanted[name][:size], rtol=0, atol=1e-13)
+        np.testing.assert_allclose(inside.reshape(-1, lanes)[:size], wanted[name][:size], rtol=0, atol=1e-13)
         assert untouched(inside, whole)
 
 

@@ -27,7 +27,7 @@ LAW = 6e-9  # the same where the softness varies: 1.5e-9, but 20e-9 where it var
 ANY_CALL, ANY_CAR, ANY_ORDER = 10e-6, 0.15e-6, 3e-9  # any fleet but an even one: a headway, a car of it, a node crossed
 # a node relaxed, constant diffusivity: by way of all waves, or by weights nearby; these along lanes, few of them, in a line,
 # and in a long line by levels
-TRANSFORM, BAND, NARROW_BAND, LINE_BAND, LINE_LEVELS = 15e-9, 1.6e-9, 6e-9, 3e-9, 2.5e-9
+TRANSFORM, BAND, NARROW_BAND, LINE_BAND, LINE_LEVELS = 15e-9, 1.5e-9, 4e-9, 3e-9, 2.5e-9
 RIPPLES = 6e-9  # of a large even fleet's long road, where there are no such weights for little smoothing
 SPREAD, LINE_SPREAD = (
     2.4,

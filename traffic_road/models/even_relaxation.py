@@ -12,21 +12,23 @@ from numba import prange
 from ..compiled import njit
 from ..laws import Constant
 from ..schemes.relaxation import LOW_PASS, NARROWEST, SHORT_RING, band, by_ripples, deepest, levels
-from .even_filters import BLOCK, FIRST, MORE, frame, smooth, smooth_by_levels
+from .even_filters import BLOCK, frame, smooth_by_levels, smooth_in_place
 from .even_layout import COMPILE, NARROW, aligned, get, put, row_of
 from .even_ripple import MARGIN, Ripples, halvings
 from .even_surround import surround, surround_together
-from .line_relaxation import LineRelaxation
+from .lane_filters import FIRST, MORE
+from .line_relaxation import LEAST, LineRelaxation
 
 # in pairs of rows worked out for a row of the road:
 NEAR = 33  # a row of the margins filled
-MOST = {True: 60, False: 250}  # along NARROW lanes or not: a transform costs that much
+MOST = {True: 65, False: 110}  # along NARROW lanes or not: by levels of a line it costs as much
+MOST_SHORT = 200  # a line that is too short for these
 
 
 def _make_relax(parallel):
     @njit(parallel=parallel, **COMPILE)
-    def relax(road, layout, depth, passes, weights, scratch):
-        """The whole road by the band `weights`, and by way of fewer rows where there are `passes`.
+    def relax(road, layout, depth, passes, twice, weights, scratch):
+        """The whole road by the band `weights`, and by way of fewer rows where there are `passes`, `twice` as much up again.
 
         scratch (threads, numbers that one needs).
         """
@@ -40,9 +42,9 @@ def _make_relax(parallel):
             for panel in range(thread * layout.panels // threads, (thread + 1) * layout.panels // threads):
                 start, count = row_of(panel, 0, layout), layout.tiles * layout.rows
                 if passes.size:
-                    smooth_by_levels(road, start, count, layout.width, passes, weights, scratch[thread])
+                    smooth_by_levels(road, start, count, layout.width, passes, twice, weights, scratch[thread])
                 else:
-                    smooth(road, start, count, layout.width, weights, scratch[thread])
+                    smooth_in_place(road, start, count, layout.width, weights, scratch[thread])
 
     return relax
 
@@ -75,7 +77,8 @@ class Relaxation:
         # a last interval may be shorter than those that the margin was made for
         way = _weights(self.scene, self.nodes, self.layout, headways)
         if way is not None and _wanted(way, self.layout) <= self.layout.margin:
-            rest = self.layout, _depth(way, self.layout), *way, self.scratch
+            passes, weights = way
+            rest = self.layout, _depth(way, self.layout), passes, 2 * passes, weights, self.scratch
             return lambda road: _relax[self.parallel](road, *rest)
         halvings = _halvings(self.scene, self.nodes, self.layout, headways)
         if halvings and self.layout.margin >= MARGIN:
@@ -141,7 +144,8 @@ def _weights(scene, nodes, layout, headways):
     most = deepest(spread)
     works = {n: _work(n, spread, layout) for n in range(max(0, most - 1), most + 1)}
     best = min(works, key=works.get)
-    if spread < NARROWEST or works[best] > MOST[layout.width == NARROW]:
+    dearest = MOST[layout.width == NARROW] if nodes >= LEAST else MOST_SHORT
+    if spread < NARROWEST or works[best] > dearest:
         return None
     passes, weights = levels(spread, best) if best else (np.empty((0, LOW_PASS + 1)), band(spread, nodes, nodes))
     if weights is None:

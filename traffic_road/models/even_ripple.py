@@ -12,11 +12,12 @@ from numba import prange, uint64
 
 from ..compiled import njit
 from ..schemes.relaxation import LOW_PASS, relax_transform
-from .even_filters import BLOCK, down_rows, smooth, up_rows
+from .even_filters import BLOCK, REACH, down, smooth_in_place, up
 from .even_layout import COMPILE, WIDTH, aligned, get, put, row_of
 from .even_surround import surround
+from .lane_filters import ROWS
 
-MARGIN = 32  # rows at either end of a panel: the longest band's, and what is computed beyond
+MARGIN = 24 + BLOCK  # rows at either end of a panel: the longest band's, and what is computed beyond
 DEEPEST = 3
 MANY_NODES = 4096  # from which on this is faster than a transform of the whole road
 
@@ -32,36 +33,38 @@ def halvings(nodes, layout) -> int:
 
 def _make_down(parallel):
     @njit(parallel=parallel, **COMPILE)
-    def down(half, half_layout, road, layout, low_pass):
+    def go_down(half, half_layout, road, layout, low_pass):
         """half, laid out like the road with half its rows <- every other row of the road, margins filled, low-passed."""
         _ = parallel  # read, since only what is read tells compiled loops on the disk apart
         for panel in prange(layout.panels):
             count = half_layout.tiles * half_layout.rows
             to, first = row_of(panel, 0, half_layout), row_of(panel, -LOW_PASS, layout)
-            down_rows(half[to:], road[first:], count, layout.width, low_pass)
+            down(half[to:], road[first:], count, layout.width, low_pass)
 
-    return down
+    return go_down
 
 
 def _make_up(parallel):
     @njit(parallel=parallel, **COMPILE)
-    def up(road, layout, half, half_layout, weights, low_pass, scratch):
-        """The road <- its band `weights` and, low-passed, the rows of half, in between zeros; margins of both are filled."""
+    def go_up(road, layout, half, half_layout, weights, twice, scratch):
+        """The road <- its band `weights` and, low-passed, the rows of half, in between zeros; margins of both are filled.
+
+        twice: the low pass, times two.
+        """
         _ = parallel
         threads = scratch.shape[0]
         for thread in prange(threads):
             spare = scratch[thread]
             for panel in range(thread, layout.panels, threads):
                 start, count, width = row_of(panel, 0, layout), layout.tiles * layout.rows, layout.width
-                smooth(road, start, count, width, weights, spare)
-                first = row_of(panel, 0, half_layout)
-                for r in range(0, count // 2, BLOCK // 2):
-                    up_rows(spare, 0, half, first + r * width, BLOCK // 2, width, low_pass)
-                    to = uint64(start + 2 * r * width)
-                    for i in range(uint64(min(BLOCK, count - 2 * r) * width)):
+                smooth_in_place(road, start, count, width, weights, spare)
+                for r in range(0, count // 2, ROWS):
+                    before, to = row_of(panel, r - REACH, half_layout), uint64(start + 2 * r * width)
+                    up(spare, half[before:], REACH, ROWS, width, twice)
+                    for i in range(uint64(min(2 * ROWS, count - 2 * r) * width)):
                         road[to + i] += spare[i]
 
-    return up
+    return go_up
 
 
 _down = {parallel: _make_down(parallel) for parallel in (False, True)}
@@ -88,4 +91,4 @@ class Ripples:
         for n in reversed(levels):
             surround(roads[n + 1], LOW_PASS // 2, layouts[n + 1])
             there = roads[n + 1], layouts[n + 1]
-            _up[self.parallel](roads[n], layouts[n], *there, bands[n], low_passes[n], self.scratch)
+            _up[self.parallel](roads[n], layouts[n], *there, bands[n], 2 * low_passes[n], self.scratch)

@@ -16,7 +16,7 @@ from ..compiled import njit
 from ..laws import Constant
 from ..schemes.relaxation import LOW_PASS, band, deepest, levels, relax_law, relax_transform, symbol
 from .even_layout import COMPILE, aligned, copy
-from .lane_filters import FIRST, down, smooth, up
+from .lane_filters import FIRST, down_narrow, smooth_narrow, up_narrow
 from .lanes import ABREAST, copy_in_abreast, copy_out_abreast
 
 TILE = 512  # nodes of a line worked on at a time: they stay in the first-level cache
@@ -99,15 +99,15 @@ def _by_levels(block, wide, rows, halo, tables, passes, twice, weights):
     for level in range(passes.shape[0]):
         own, halo = (own + 1) // 2, halo // 2 - REACH  # row r of the level below: row 2 r - halo
         size = own + 2 * halo
-        down(y, x, size, passes[level])
+        down_narrow(y, x, size, passes[level])
         x, y = y, x
     size, halo = size - 2 * (weights.size - 1), halo - (weights.size - 1)
-    smooth(y, x, size, weights)
+    smooth_narrow(y, x, size, weights)
     for level in range(passes.shape[0] - 1, 0, -1):
         x, y = y, x
-        up(y, x, REACH, size - 2 * REACH, twice[level])
+        up_narrow(y, x, REACH, size - 2 * REACH, twice[level])
         size, halo = 2 * (size - 2 * REACH), 2 * (halo - REACH)
-    up(x, y, halo, rows // 2, twice[0])
+    up_narrow(x, y, halo, rows // 2, twice[0])
     _turn(x, block, rows, rows, True)
 
 
