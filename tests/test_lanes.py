@@ -5,7 +5,8 @@ import pytest
 
 import traffic_road as tr
 from traffic_road.models.even_filters import down, smooth, up
-from traffic_road.models.even_layout import NARROW, WIDTH
+from traffic_road.models.even_layout import NARROW, WIDTH, layout, put, row_of
+from traffic_road.models.even_surround import surround
 from traffic_road.models.lane_filters import FIRST, MORE
 from traffic_road.models.lanes import LANES
 from traffic_road.models.line_relaxation import LEAST, LineRelaxation, relax_by_levels
@@ -111,3 +112,22 @@ def test_a_line_is_relaxed_within_its_bounds(nodes, spread):
     way(road, *given[:-3], *spare)
     np.testing.assert_allclose(road, 1.0, rtol=0, atol=4e-15)
     assert untouched(road, whole) and all(untouched(*guard) for guard in guards)
+
+
+@pytest.mark.parametrize(
+    ("count", "rows"), [(4096, 8), (4097, 8), (6000, 3), (70, 9), (40, 9), (13, 16), (9, 5), (4, 200)]
+)
+def test_margins_are_the_nodes_before_and_behind_each_lane(count, rows):
+    where = layout(count, rows)
+    depth, nodes = (where.tiles - 1) * rows, count * rows
+    where = where._replace(margin=depth)
+    road = np.full(where.size, np.nan)
+    put(road, np.arange(nodes, dtype=float), 0, where)
+    surround(road, depth, where)
+    first = 0
+    for lane in range(where.lanes):
+        own = (where.tiles if lane < where.long else where.tiles - 1) * rows
+        begin = row_of(lane // where.width, -depth, where) + lane % where.width
+        seen = road[begin :: where.width][: where.tiles * rows + 2 * depth]
+        np.testing.assert_array_equal(seen, np.arange(first + own - seen.size + depth, first + own + depth) % nodes)
+        first += own

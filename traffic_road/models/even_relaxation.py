@@ -15,7 +15,7 @@ from ..schemes.relaxation import LOW_PASS, NARROWEST, SHORT_RING, band, by_rippl
 from .even_filters import BLOCK, frame, smooth_by_levels, smooth_in_place
 from .even_layout import COMPILE, NARROW, aligned, get, put, row_of
 from .even_ripple import MARGIN, Ripples, halvings
-from .even_surround import surround, surround_together
+from .even_surround import surround_edges, surround_inside
 from .lane_filters import FIRST, MORE
 from .line_relaxation import LEAST, LineRelaxation
 
@@ -32,14 +32,14 @@ def _make_relax(parallel):
 
         scratch (threads, numbers that one needs).
         """
-        if parallel:
-            surround_together(road, depth, layout)
-        else:
-            surround(road, depth, layout)
+        _ = parallel  # read, since only what is read tells compiled loops on the disk apart
+        # what comes from other panels is copied while all are as they were, the rest by the thread that goes on with it
+        surround_edges(road, depth, layout)
         threads = scratch.shape[0]
         # panels are shared out as they are when cars cross them: they stay in a core's cache
         for thread in prange(threads):
             for panel in range(thread * layout.panels // threads, (thread + 1) * layout.panels // threads):
+                surround_inside(road, panel, depth, layout)
                 start, count = row_of(panel, 0, layout), layout.tiles * layout.rows
                 if passes.size:
                     smooth_by_levels(road, start, count, layout.width, passes, twice, weights, scratch[thread])

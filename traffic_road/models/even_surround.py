@@ -2,79 +2,66 @@
 
 from __future__ import annotations
 
-import numpy as np
-from numba import prange, uint64
+from numba import uint64
 
 from ..compiled import njit
 from .even_layout import COMPILE, copy, row_of
 
 
 @njit(**COMPILE)
-def _row_before(road, to_row, row, panel, begin, end, layout):
-    """Lanes begin..end of `to_row` of a panel <- `row` of the lane before each."""
-    width = layout.width
-    to = row_of(panel, to_row, layout)
-    if begin == 0 and end > 0:
-        lane = (panel * width - 1) % layout.lanes
-        road[to] = road[row_of(lane // width, row, layout) + lane % width]
-        begin = 1
-    if end > begin:
-        copy(road, uint64(to + begin), road, uint64(row_of(panel, row, layout) + begin - 1), end - begin)
+def _home(lane, row, layout):
+    """Index of where the node belongs that a relaxation sees at a row of a lane, before its first block or behind its last."""
+    span, begin = layout.tiles * layout.rows, 0 if lane < layout.long else layout.rows
+    while row < begin:
+        lane, row = (lane - 1) % layout.lanes, row + span - begin
+        begin = 0 if lane < layout.long else layout.rows
+    if row >= span:
+        lane = (lane + 1) % layout.lanes
+        row -= span if lane < layout.long else span - layout.rows
+    return row_of(lane // layout.width, row, layout) + lane % layout.width
 
 
 @njit(**COMPILE)
-def _row_behind(road, to_row, row, short_row, panel, layout):
-    """`to_row` of a panel <- of the lane behind each: `row` if that is long, `short_row` if not."""
-    width = layout.width
-    to = row_of(panel, to_row, layout)
-    lanes = min(width, layout.lanes - panel * width)
-    longer = min(max(0, layout.long - panel * width - 1), lanes)
-    inner = min(lanes, width - 1)
-    copy(road, uint64(to), road, uint64(row_of(panel, row, layout) + 1), min(longer, inner))
-    if inner > longer:
-        copy(road, uint64(to + longer), road, uint64(row_of(panel, short_row, layout) + longer + 1), inner - longer)
-    lane = (panel * width + lanes) % layout.lanes
-    source = row if lane < layout.long else short_row
-    road[to + lanes - 1] = road[row_of(lane // width, source, layout) + lane % width]
+def surround_edges(road, depth, layout):
+    """What panels get from others: before the first lane of each, and behind its last."""
+    span = layout.tiles * layout.rows
+    for panel in range(layout.panels):
+        first, last = panel * layout.width, min((panel + 1) * layout.width, layout.lanes) - 1
+        for row in range(-depth, 0 if first < layout.long else layout.rows):
+            road[row_of(panel, row, layout)] = road[_home(first, row, layout)]
+        for row in range(span, span + depth):
+            road[row_of(panel, row, layout) + last % layout.width] = road[_home(last, row, layout)]
 
 
 @njit(**COMPILE)
-def _lend(road, panel, layout):
-    """Tile 0 of short lanes <- the last tile of the lane before."""
-    rows, width = layout.rows, layout.width
-    lanes = min(width, layout.lanes - panel * width)
-    longs = min(max(0, layout.long - panel * width), lanes)
+def _next(road, to_row, row, panel, begin, end, shift, layout):
+    """Lanes begin..end of `to_row` of a panel <- `row` of lanes so much further, in the panel."""
+    to, start = row_of(panel, to_row, layout) + begin, row_of(panel, row, layout) + begin + shift
+    copy(road, uint64(to), road, uint64(start), max(0, end - begin))
+
+
+@njit(**COMPILE)
+def surround_inside(road, panel, depth, layout):
+    """All else that `surround` does for a panel, of which no other takes notice."""
+    rows, span = layout.rows, layout.tiles * layout.rows
+    lanes = min(layout.width, layout.lanes - panel * layout.width)
+    longs = min(max(0, layout.long - panel * layout.width), lanes)
+    start, longer = max(1, longs), max(0, longs - 1)
     for r in range(rows):
-        _row_before(road, r, (layout.tiles - 1) * rows + r, panel, longs, lanes, layout)
+        _next(road, r, span - rows + r, panel, start, lanes, -1, layout)
+    for d in range(depth):
+        _next(road, -1 - d, span - 1 - d, panel, 1, longs, -1, layout)
+        _next(road, -1 - d, span - rows - 1 - d, panel, start, lanes, -1, layout)
+        _next(road, span + d, d, panel, 0, longer, 1, layout)
+        _next(road, span + d, rows + d, panel, longer, lanes - 1, 1, layout)
 
 
 @njit(**COMPILE)
-def _fill(road, panel, depth, layout):
-    rows, width, span = layout.rows, layout.width, layout.tiles * layout.rows
-    lanes = min(width, layout.lanes - panel * width)
-    longs = min(max(0, layout.long - panel * width), lanes)
-    begin = np.int64(0)  # no constant: `_row_before` would be compiled for it once more
-    for d in range(1, depth + 1):
-        _row_before(road, -d, span - d, panel, begin, longs, layout)
-        _row_before(road, -d, span - rows - d, panel, longs, lanes, layout)
-        _row_behind(road, span + d - 1, d - 1, rows + d - 1, panel, layout)
+def surround(road, depth, layout):
+    """Tile 0 of short lanes, and `depth` rows of the margins before and behind all lanes, filled from where they belong.
 
-
-def _make_surround(parallel):
-    @njit(parallel=parallel, **COMPILE)
-    def surround(road, depth, layout):
-        """Tile 0 of short lanes, and `depth` rows of the margins before and behind all lanes, filled from where they belong.
-
-        depth: no more than a lane has, its first tile left out. A panel's are filled by the thread that works on it.
-        """
-        _ = parallel  # read, since only what is read tells compiled loops on the disk apart
-        if layout.long < layout.lanes:
-            for panel in prange(layout.panels):
-                _lend(road, np.int64(panel), layout)
-        for panel in prange(layout.panels):
-            _fill(road, np.int64(panel), depth, layout)
-
-    return surround
-
-
-surround, surround_together = _make_surround(False), _make_surround(True)
+    depth: no more than a lane has, its first tile left out.
+    """
+    surround_edges(road, depth, layout)
+    for panel in range(layout.panels):
+        surround_inside(road, panel, depth, layout)
