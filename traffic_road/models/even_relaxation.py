@@ -1,6 +1,6 @@
 """The road of an even fleet relaxes: bands of weights along the lanes of `even_layout`, in place.
 
-What lies before and behind each lane is copied to the panel's margins first (`surround`); from then on lanes know nothing
+What lies before and behind each lane is copied to the panel's margins first (`even_surround`); from then on lanes know nothing
 of each other (`even_filters`).
 """
 
@@ -19,9 +19,9 @@ from .even_surround import surround_edges, surround_inside
 from .lane_filters import FIRST, MORE
 from .line_relaxation import LEAST, LineRelaxation
 
-# in pairs of rows worked out for a row of the road:
-NEAR = 33  # a row of the margins filled
-MOST = {True: 65, False: 110}  # along NARROW lanes or not: by levels of a line it costs as much
+# in pairs of rows worked out for a row of the road, along NARROW lanes or not:
+NEAR = {True: 40, False: 15}  # a row of the margins filled
+MOST = {True: 65, False: 95}  # by levels of a line it costs as much
 MOST_SHORT = 200  # a line that is too short for these
 
 
@@ -161,6 +161,6 @@ def _work(depth, spread, layout):
     rows = layout.tiles * layout.rows
     pairs = int(10 * np.sqrt(spread) / 2**depth)  # 10 standard deviations and a bit each: exp(-25)
     edge, band_rows = (frame(n, depth, pairs, rows) for n in (0, depth)) if depth else ((pairs, 0), (0, rows))
-    beyond = 2 * edge[0] * NEAR
+    beyond = 2 * edge[0] * NEAR[layout.width == NARROW]
     down = sum(2 * LOW_PASS * frame(n, depth, pairs, rows)[1] for n in range(1, depth + 1))
     return (beyond + down + pairs * band_rows[1]) / rows
