@@ -14,7 +14,6 @@ import math
 
 import numpy as np
 from numba import uint64
-from scipy.linalg import expm
 
 from ..compiled import njit
 
@@ -47,6 +46,8 @@ def exact(system: np.ndarray, source: np.ndarray, step: float) -> np.ndarray:
     systems, size = system.shape[:2]
     if size <= SMALL:
         return _solved(system, source, step, size + 3)
+    from scipy.linalg import expm  # not at the top: 0.2 s, and every run would wait for it
+
     augmented = np.zeros((systems, size + 3, size + 3), dtype=system.dtype)
     augmented[:, :size, :size], augmented[:, :size, size] = step * system, step * source
     augmented[:, size, size + 1] = augmented[:, size + 1, size + 2] = 1.0
@@ -57,6 +58,8 @@ def exponentials(matrices: np.ndarray) -> np.ndarray:
     """Matrix exponentials, (systems, size, size)."""
     size = matrices.shape[1]
     if size > SMALL:
+        from scipy.linalg import expm  # as above
+
         return expm(matrices)
     return _solved(matrices, np.zeros(size), 1.0, size).transpose(2, 0, 1)
 

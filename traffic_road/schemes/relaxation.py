@@ -15,8 +15,6 @@ from __future__ import annotations
 from functools import lru_cache
 
 import numpy as np
-from scipy import fft
-from scipy.special import ive
 
 from ..errors import SceneError
 from .scheme import Scheme, refuse_beyond
@@ -34,7 +32,7 @@ SHARPEST = 20.0  # and beyond which they are good to rounding: sharper ones woul
 
 def symbol(diffusion: float, length: float, nodes: int) -> np.ndarray:
     """exp(-diffusion k^2) for the real transform's wavenumbers; diffusion = Delta * interval."""
-    k = 2 * np.pi * fft.rfftfreq(nodes, length / nodes)
+    k = 2 * np.pi * np.fft.rfftfreq(nodes, length / nodes)
     return np.exp(-diffusion * k**2)
 
 
@@ -46,7 +44,7 @@ def band(diffusion: float, length: float, nodes: int) -> np.ndarray | None:
     """
     # a short kernel does not know how long the ring is: a shorter one gives it with less rounding
     ring = min(nodes, 4 * LONGEST_BAND)
-    kernel = fft.irfft(symbol(diffusion, length * ring / nodes, ring), n=ring)[: ring // 2 + 1]
+    kernel = np.fft.irfft(symbol(diffusion, length * ring / nodes, ring), n=ring)[: ring // 2 + 1]
     if ring % 2 == 0:
         kernel[-1] /= 2  # the node opposite is one, not a pair
     weights = _cut(kernel, 2 * diffusion * (nodes / length) ** 2)
@@ -178,11 +176,16 @@ def _cut(kernel, spread):
 
 def relax_transform(height: np.ndarray, factor: np.ndarray) -> np.ndarray:
     """`height` (nodes,) after the relaxation whose `symbol` is `factor`."""
+    from scipy import fft  # not at the top: 0.3 s, and every run would wait for it
+
     return fft.irfft(fft.rfft(height) * factor, n=height.size)
 
 
 def relax_law(height: np.ndarray, law, interval: float, length: float) -> np.ndarray:
     """`height` (nodes,) after `interval` with diffusivity law(H); order 2 in the interval."""
+    from scipy import fft  # as above
+    from scipy.special import ive
+
     nodes = height.size
     curvature = -((2 * np.pi * fft.rfftfreq(nodes, length / nodes)) ** 2)
 

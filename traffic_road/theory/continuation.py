@@ -19,7 +19,6 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.linalg import LinAlgError, hankel, solve, toeplitz
 
 from ..errors import SceneError, TrafficRoadError
 from ..laws import finite
@@ -169,6 +168,8 @@ def refined(wave, hold, modes):
 def _newton(wave, hold, most=15):
     """(root, steps) near the guess `wave`; (None, steps) without one. `hold` names what keeps its value, "softness" or
     "weight", or is a direction as from `_between`: the search is then at right angles to it."""
+    from scipy.linalg import solve  # not at the top: 0.2 s, and every run would wait for it
+
     n = wave.u.size
     for count in range(1, most + 1):
         residual, a, b, by_velocity, force, chi = system(wave)
@@ -183,7 +184,7 @@ def _newton(wave, hold, most=15):
             jacobian[-1] = np.delete(hold, [0, n])  # u_1 never changes
         try:
             step = solve(jacobian, -np.concatenate([residual.real, residual.imag, [0]]), check_finite=False)
-        except (LinAlgError, ValueError):
+        except (np.linalg.LinAlgError, ValueError):
             return None, count
         size = np.abs(step).max()
         if not size < 10:
@@ -201,6 +202,8 @@ def _newton(wave, hold, most=15):
 
 def system(wave):
     """Residual of Eq. (2) for n = 1..N; A, B, v of its change A du + B conj(du) + v dc; force_0..N and chi_0..2N."""
+    from scipy.linalg import hankel, toeplitz  # as above
+
     n = np.arange(1, wave.u.size + 1)
     count = n.size
     r, slope = response(n * wave.k * (1 - wave.velocity), wave.damping)

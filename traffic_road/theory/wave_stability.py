@@ -16,7 +16,6 @@ from __future__ import annotations
 
 import numpy as np
 import xarray as xr
-from scipy.linalg import toeplitz
 
 from ..laws import finite
 from .continuation import indicator, response
@@ -37,6 +36,8 @@ def wave_stability(wave: xr.Dataset, *, bloch: float = 0.0) -> np.ndarray:
     k, softness, diffusivity, damping = (
         wave.attrs[name] for name in ("wavenumber", "softness", "diffusivity", "damping")
     )
+    from scipy.linalg import toeplitz  # not at the top: 0.2 s, and every run would wait for it
+
     modes, c = wave.attrs["modes"], float(wave.velocity)
     harmonics = np.fft.rfft(wave.height.values)[: modes + 1] / wave.sizes["x"]
     n = np.arange(modes + 1)
