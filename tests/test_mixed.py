@@ -12,7 +12,7 @@ from traffic_road.models import Sample, mixed_order, mixed_rows
 from traffic_road.models.cars_mixed import mixed_samples
 from traffic_road.models.lanes import LANES
 from traffic_road.models.line_relaxation import LEAST, LineRelaxation, relax_by_levels
-from traffic_road.models.mixed_rows import CLOSE, FURTHEST, MOST, RECORD, exponential, harden_row, sink
+from traffic_road.models.mixed_rows import CLOSE, FURTHEST, MOST, RECORD, _harden_row, exponential, sink
 from traffic_road.schemes.oscillator import settled, settled_at
 from traffic_road.schemes.passage import contact_height
 from traffic_road.schemes.relaxation import ALIASED, TAIL, relax_transform, symbol
@@ -183,7 +183,7 @@ def test_one_row_where_one_car_asks_for_more_is_solved_for_all(least):
     for row, number in ((mixed_rows.B, 1e-3), (mixed_rows.HALF, 0.4), (mixed_rows.OMEGA2, 1.0), (mixed_rows.E0, 1.0)):
         rows[row // LANES] = number
     heights, z_star = np.pad(before, (0, LANES - 16)), rows[mixed_rows.F // LANES, :16].copy()
-    harden_row(heights, np.uint64(0), t, wide, (0,), 0.1, 0.5, slack)
+    _harden_row(heights, np.uint64(0), t, wide, (0,), 0.1, 0.5, slack)
     wanted = [
         contact_height(h, z, 1e-3, 0.4, 1.0, EXPONENTIAL, 0.1, 0.5, least == 0.0)
         for h, z in zip(before, z_star, strict=True)

@@ -14,11 +14,11 @@ import numpy as np
 from numba import uint64
 
 from ..compiled import njit
-from ..laws import BOUNDED, CONSTANT, EXPONENTIAL
+from ..laws import BOUNDED, CONSTANT
 from .even_layout import COMPILE, aligned
 from .lanes import LANES, copy_in, copy_out
 from .mixed_order import CAR, LENGTH, LEVEL, START, plan_until
-from .mixed_rows import E4, F1, H0, H1, H2, H3, H4, LOST, RECORD, F, L, S, cross_rows, harden_row
+from .mixed_rows import E4, F1, H0, H1, H2, H3, H4, LOST, RECORD, F, L, S, cross
 
 VECTOR = 8
 ROWS = 64
@@ -160,18 +160,8 @@ def cross_units(
             while live > 0 and r < until:
                 wide = uint64((live + VECTOR - 1) // VECTOR * VECTOR)
                 end = min(length[live - 1], until)
-                while len(kind) == EXPONENTIAL and r < end:
-                    harden_row(heights, (r - begin) * L, t, wide, hold, value, shape, slack)
-                    r += N1
-                while r + N4 <= end:
-                    cross_rows(heights, (r - begin) * L, t, wide, (0, 0, 0, 0), hold, kind, value, shape, slack)
-                    r += N4
-                if r + N2 <= end:
-                    cross_rows(heights, (r - begin) * L, t, wide, (0, 0), hold, kind, value, shape, slack)
-                    r += N2
-                while r < end:
-                    cross_rows(heights, (r - begin) * L, t, wide, (0,), hold, kind, value, shape, slack)
-                    r += N1
+                cross(heights, r - begin, end - begin, t, wide, hold, kind, value, shape, slack)
+                r = end
                 while live > 0 and length[live - 1] == end:
                     live -= 1
                     _leave(body, car[live], t, uint64(live))

@@ -7,15 +7,17 @@ from __future__ import annotations
 
 import numpy as np
 from numba import uint64
+from numba.extending import overload
 
 from ..compiled import njit
-from ..laws import CONSTANT, EXPONENTIAL
+from ..laws import BOUNDED, CONSTANT, EXPONENTIAL
 from ..schemes.passage import contact_height
 from .even_layout import COMPILE
 from .even_passages import met_bounded
 from .lanes import LANES
 
 FURTHEST = 0.05  # shape x up to which the series of an exponential is right to 1e-16 of the softness
+N2, N4 = np.uint64(2), np.uint64(4)
 MOST = 700.0  # of the argument of an exponential
 PER_LOG_2, LOG_2, LOG_2_REST = 1.4426950408889634, 0.6931471803691238, 1.9082149292705877e-10
 WHOLE = 1.5 * 2.0**52
@@ -31,7 +33,7 @@ CONTACT, EFFECT, SHARE = (np.uint64(n * LANES) for n in range(2 * RECORD + 5, 3 
 
 
 @njit(**COMPILE)
-def cross_rows(heights, at, t, wide, rows, hold, kind, value, shape, slack):
+def _cross_rows(heights, at, t, wide, rows, hold, kind, value, shape, slack):
     """The units of the first `wide` lanes of the table t cross the nodes whose heights begin at `at`, `rows` of them.
 
     rows, hold, kind: tuples of as many zeros, which the compiler knows; slack: 0, without lift-off inf. Not for an
@@ -107,8 +109,8 @@ def exponential(z):
 
 
 @njit(**COMPILE)
-def harden_row(heights, at, t, wide, hold, value, shape, slack):
-    """`cross_rows` over one row where the softness is exponential."""
+def _harden_row(heights, at, t, wide, hold, value, shape, slack):
+    """`_cross_rows` over one row where the softness is exponential."""
     for i in range(wide):
         E = t[HALF + i] * value * exponential(shape * heights[at + i])
         t[EFFECT + i], t[SHARE + i] = E, 1.0 / (1.0 + E * t[OMEGA2 + i] * (1.0 - t[B + i]))
@@ -142,3 +144,32 @@ def harden_row(heights, at, t, wide, hold, value, shape, slack):
         if len(hold) > 1:
             t[H1 + i], t[H2 + i] = h0, h1
         t[F + i], t[F1 + i], t[H0 + i] = g, f, h
+
+
+def cross(heights, first, end, t, wide, hold, kind, value, shape, slack):
+    """Rows `first` to `end` of the heights are crossed, see `_cross_rows`. For compiled code; compiled for one law alone."""
+    raise NotImplementedError
+
+
+@overload(cross, jit_options=COMPILE)
+def _(heights, first, end, t, wide, hold, kind, value, shape, slack):
+    def one_by_one(heights, first, end, t, wide, hold, kind, value, shape, slack):
+        for r in range(first, end):
+            _cross_rows(heights, r * L, t, wide, (0,), hold, kind, value, shape, slack)
+
+    def some(heights, first, end, t, wide, hold, kind, value, shape, slack):
+        r = first
+        while r + N4 <= end:
+            _cross_rows(heights, r * L, t, wide, (0, 0, 0, 0), hold, kind, value, shape, slack)
+            r += N4
+        if r + N2 <= end:
+            _cross_rows(heights, r * L, t, wide, (0, 0), hold, kind, value, shape, slack)
+            r += N2
+        if r < end:
+            _cross_rows(heights, r * L, t, wide, (0,), hold, kind, value, shape, slack)
+
+    def harden(heights, first, end, t, wide, hold, kind, value, shape, slack):
+        for r in range(first, end):
+            _harden_row(heights, r * L, t, wide, hold, value, shape, slack)
+
+    return {CONSTANT: some, BOUNDED: one_by_one, EXPONENTIAL: harden}[len(kind)]
