@@ -7,7 +7,7 @@ Delta = 0.01, and fleets that are not even from `mixed_cases`. What relaxing les
 the Floquet matrix.
 Bars are what the kernels are held to.
 
-Run: python experiments/benchmark.py [--quick]        (1 to 6 min, as the machine is busy; 5 s)
+Run: python experiments/benchmark.py [--quick]        (4 to 6 min, as the machine is busy; 10 s)
 """
 
 import time
@@ -186,7 +186,7 @@ def memory(count, headways) -> float:
 
 def main() -> None:
     chosen = options(__doc__)
-    updates, repeats = (4e6, 1) if chosen.quick else (6e7, 96)  # short: what a machine gives changes by the second
+    updates, repeats = (4e6, 1) if chosen.quick else (6e7, 64)  # short: what a machine gives changes by the second
     sizes, durations = (SIZES[:3], DURATIONS[:2]) if chosen.quick else (SIZES, DURATIONS)
     cases = [CASES[n] for n in QUICK] if chosen.quick else CASES
     runs = [(threads, runner(updates, *case)) for _, _, threads, *case in cases]

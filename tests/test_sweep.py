@@ -35,7 +35,7 @@ ARGUMENTS = [
     "sweep",
     "small.toml",
     "--over",
-    "road.softness=0.004:0.006:96",
+    "road.softness=0.004:0.006:48",
     "-o",
     "o.nc",
     "--workers",
@@ -378,7 +378,7 @@ def wait_for_points(sweep, more_than):
 
 def test_killed_and_interrupted_sweeps_go_on(folder, monkeypatch):
     scene = tr.Scene.from_toml("small.toml")
-    over = parse_over(["road.softness=0.004:0.006:96"])
+    over = parse_over(["road.softness=0.004:0.006:48"])
     before = {}
     for end in (signal.SIGKILL, signal.SIGINT):
         sweep = process(*ARGUMENTS)
@@ -391,11 +391,11 @@ def test_killed_and_interrupted_sweeps_go_on(folder, monkeypatch):
         while processes(folder):  # they end with the pipe that fed them
             assert time.monotonic() - begin < 10
             time.sleep(0.05)
-        assert before.items() <= after.items() and not os.path.exists("o.nc") and len(after) < 96
+        assert before.items() <= after.items() and not os.path.exists("o.nc") and len(after) < 48
         before = after
     assert time.monotonic() - begin < 5 and sweep.returncode == 1  # two seconds, on a quiet machine
     assert err.startswith("traffic-road: interrupted; ") and len(err.splitlines()) == 1
-    assert f"{len(before)} of 96 points are finished, and kept in " in err
+    assert f"{len(before)} of 48 points are finished, and kept in " in err
     asked = []
     original = pool.local
 
@@ -405,7 +405,7 @@ def test_killed_and_interrupted_sweeps_go_on(folder, monkeypatch):
 
     monkeypatch.setattr("traffic_road.sweeps.local", spy)
     ds = tr.sweep(scene, over, tolerance=1e-2, output="o.nc", workers=2)
-    assert sorted(asked) == sorted(set(range(96)) - set(before)) and len(asked) < 91
+    assert sorted(asked) == sorted(set(range(48)) - set(before)) and len(asked) < 43
     same(ds, serial(task(scene, over, model="auto")))
     assert sorted(os.listdir(folder)) == ["o.nc", "small.toml"]
 
