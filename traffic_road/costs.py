@@ -1,7 +1,8 @@
 """What a run costs, in seconds of one core, as far as a choice between runs needs it: within a factor of two.
 
-The constants were measured on one core at 2.9 GHz (`experiments/planning.py` prints how true they are where it runs); another
-machine is slower or faster by much the same factor everywhere, and the choice stays.
+The constants were measured on one core at 2.9 GHz, and hold, times SLOWER, for a virtual one of AMD Zen 3
+(`experiments/planning.py` prints how true they are where it runs); another machine is slower or faster by much the same factor
+everywhere, and the choice stays.
 """
 
 from __future__ import annotations
@@ -11,20 +12,23 @@ import numpy as np
 from .errors import TrafficRoadError
 from .laws import Constant, Exponential
 from .models import linear
+from .models.continuum import stage
 from .models.continuum_state import FEW_NODES, FEW_NODES_VARYING, Kinds, constant
 from .models.even_layout import MANY, layout
 from .models.even_ripple import halvings
 from .models.line_relaxation import LEAST
 from .schemes.relaxation import ALIASED, SHORT_RING
 
-FIXED = {"linear": 0.7e-3, "continuum": 0.06e-3, "cars": 0.6e-3}  # of any run: scene to samples
-CALL = 4e-6  # of a compiled sweep of one headway
+SLOWER = 1.4
+FIXED = {"linear": 0.7e-3, "continuum": 0.06e-3, "cars": 0.9e-3}  # of any run: scene to samples
+CALL, CALL_INTERVAL = 0.6e-6, 13e-6  # of a headway of an even fleet; of the loops that cross and relax an interval
 CALL_EXPONENTIAL = 35e-6  # of the polynomial for one, made anew for every interval
-CALL_RELAX, CALL_SHORT = 20e-6, 4e-6  # of a relaxation, and of a short ring's
+CALL_RELAX, CALL_SHORT = 5e-6, 3e-6  # of a relaxation, and of a short ring's
 PAIR = 7e-11  # two nodes of a short ring
 UPDATE = {1: 0.8e-9, 3: 1.2e-9, 5: 1.6e-9}  # a node crossed, by the hold
 LAW = 6e-9  # the same where the softness varies: 1.5e-9, but 20e-9 where it varies by half along the road
-ANY_CALL, ANY_CAR, ANY_ORDER = 10e-6, 0.15e-6, 3e-9  # any fleet but an even one: a headway, a car of it, a node crossed
+# any fleet but an even one: a headway, a car of it, a node crossed, or one where the softness varies
+ANY_CALL, ANY_CAR, ANY_ORDER, ANY_LAW = 10e-6, 0.15e-6, 3e-9, 14e-9
 # a node relaxed, constant diffusivity: by way of all waves, or by weights nearby; these along lanes, few of them, in a line,
 # and in a long line by levels
 TRANSFORM, BAND, NARROW_BAND, LINE_BAND, LINE_LEVELS = 15e-9, 1.5e-9, 4e-9, 3e-9, 2.5e-9
@@ -66,7 +70,7 @@ class Purse:
 
 def of_outlook(scene, matrices: int) -> float:
     """Of `takes_off`, a matrix for every wave and moment that it looks at."""
-    return matrices * LOOK * (2 * len(Kinds.of(scene.fleet).speed) + 2) ** 3
+    return SLOWER * matrices * LOOK * (2 * len(Kinds.of(scene.fleet).speed) + 2) ** 3
 
 
 def of_cars(scene, numerics: dict, even: bool) -> float:
@@ -77,7 +81,7 @@ def of_cars(scene, numerics: dict, even: bool) -> float:
     if even:
         sweep = CALL + nodes * (LAW if varies else UPDATE[hold])
     else:
-        sweep = ANY_CALL + scene.fleet.count * ANY_CAR + nodes * ANY_ORDER
+        sweep = ANY_CALL + scene.fleet.count * ANY_CAR + nodes * (ANY_LAW if varies else ANY_ORDER)
     relax, interval, delta = 0.0, scene.headway_time * numerics["relax_every"], float(road.diffusivity(0.0))
     if not isinstance(road.diffusivity, Constant):
         reach = 0.5 * interval * delta * (np.pi * nodes / road.length) ** 2
@@ -95,20 +99,20 @@ def of_cars(scene, numerics: dict, even: bool) -> float:
         relax = (CALL_RELAX if even and not short else CALL_SHORT) + nodes * (
             band if SPREAD < spread < most else transform
         )
-    if even and isinstance(road.softness, Exponential):
-        relax += CALL_EXPONENTIAL
-    return FIXED["cars"] + headways * (sweep + relax / numerics["relax_every"])
+    if even:
+        relax += CALL_INTERVAL + (CALL_EXPONENTIAL if isinstance(road.softness, Exponential) else 0.0)
+    return SLOWER * (FIXED["cars"] + headways * (sweep + relax / numerics["relax_every"]))
 
 
 def of_linear(scene, numerics: dict, waves: int, even: bool) -> float:
     """`waves`: of the profile, the uniform one included."""
     if not even:
         size = 2 * len(Kinds.of(scene.fleet).speed) + 2
-        return FIXED["linear"] + waves * (5e-6 + 2e-8 * size**3)
+        return SLOWER * (FIXED["linear"] + waves * (5e-6 + 2e-8 * size**3))
     size = numerics["nodes"] / scene.fleet.count + 3 + linear.HOLD
     headways = max(2.0, scene.duration / scene.headway_time)
     products = 1.5 * np.log2(headways) + 2
-    return FIXED["linear"] + waves * (30e-6 + products * (2e-6 + 0.6e-9 * size**3))
+    return SLOWER * (FIXED["linear"] + waves * (30e-6 + products * (2e-6 + 0.6e-9 * size**3)))
 
 
 def of_continuum(scene, numerics: dict, leaps: bool) -> float:
@@ -116,10 +120,16 @@ def of_continuum(scene, numerics: dict, leaps: bool) -> float:
     nodes, kinds = numerics["nodes"], len(Kinds.of(scene.fleet).speed)
     build = nodes * (1e-6 + 6e-9 * (2 * kinds + 4) ** 3)
     if leaps:
-        return FIXED["continuum"] + build
+        return SLOWER * (FIXED["continuum"] + build)
     if constant(scene.road):
         highest = scene.road.profile.highest_wave(scene.road.length)  # where cars take off and land, on each wave
         step = STEP + nodes * (WAVES * nodes + CONTACT * highest if nodes <= FEW_NODES else WAVES_TRANSFORM)
+        step *= kinds
     else:
         step = STEP_LAW + nodes * (WAVES_LAW * nodes if nodes <= FEW_NODES_VARYING else WAVES_TRANSFORM)
-    return FIXED["continuum"] + 2 * build + scene.duration / numerics["step"] * step * (1 + 0.5 * (kinds - 1))
+        step *= 1 + 0.5 * (kinds - 1)
+    until = steps = 0
+    while until < scene.duration:
+        until, some = stage(until, scene.duration, numerics["step"], numerics["step"])
+        steps += some
+    return SLOWER * (FIXED["continuum"] + 2 * build + steps * step)
