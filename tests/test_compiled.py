@@ -102,9 +102,11 @@ def test_code_is_as_old_as_all_that_it_is_made_of(tmp_path):
     shutil.copytree(package, tmp_path / "copy", ignore=shutil.ignore_patterns("__pycache__"))
     assert compiled.age(tmp_path / "copy") == compiled.AGE
     for name in ("laws.py", "models/even_layout.py", "schemes/passage.py"):
-        path, before = tmp_path / "copy" / name, compiled.age(tmp_path / "copy")
-        path.write_text(path.read_text() + "\n")
-        assert compiled.age(tmp_path / "copy") != before
+        path = tmp_path / "copy" / name
+        text = path.read_text()
+        path.write_text(text + "\n")
+        assert compiled.age(tmp_path / "copy") != compiled.AGE
+        path.write_text(text)
     assert even_layout.place._cache._cache_file._source_stamp[1] == compiled.AGE
 
 
