@@ -139,7 +139,7 @@ def test_a_run_is_not_surer_than_its_plan():
     # one car a wavelength: half the nodes and twice the relaxation interval happen to err as much
     case = scene(290, count=1, softness=tr.Exponential(0.006, 0.02), damping=0.1)
     planned, ds = tr.plan(case, 0.05), tr.simulate(case, tolerance=0.05, samples=2)
-    error = corrugation_difference(road(case, 512), ds.road_height.values[-1])
+    error = corrugation_difference(road(case, 2048), ds.road_height.values[-1])
     assert error <= ds.error_estimate == planned.error <= 3 * error
     assert "the plan's runs" in ds.error_method
 

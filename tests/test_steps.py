@@ -35,7 +35,6 @@ def test_maps_of_a_step_are_those_of_the_augmented_matrix(norm):
     off = np.abs(exact(system, source, step) - right).max(axis=(0, 1)) / np.abs(right).max(axis=(0, 1))
     twice = np.abs(doubled(exact(system, source, step / 2)) - right).max(axis=(0, 1)) / np.abs(right).max(axis=(0, 1))
     alone = np.abs(exponentials(step * system) - expm(step * system)).max()
-    print(off.max(), twice.max(), alone)
     # rounding of a norm of up to 12 times as much, of which the systems after the largest have their share
     assert max(off.max(), twice.max(), alone) < 50 * np.finfo(float).eps * max(1.0, 12 * norm)
 

@@ -10,7 +10,7 @@ alone, and after an upgrade that leaves this as it is would run the old code of 
 
 Threads that wait for each other spin, by GNU's OpenMP for some 3 ms, before they let go of the processor: beside another job
 that has it, the one that they wait for does not come to run, and two threads took up to a hundred times as long as one.
-After 20 microseconds, between passages and relaxation, they have met or should let go.
+After some tens of microseconds, between passages and relaxation, they have met or should let go.
 """
 
 from __future__ import annotations
@@ -36,7 +36,6 @@ def _save(self, key, data) -> None:
 
 
 IndexDataCacheFile.save = _save
-
 
 FOLDERS = "models", "schemes", "theory"
 
