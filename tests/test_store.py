@@ -3,8 +3,9 @@
 import json
 import os
 import stat
+import time
 from dataclasses import replace
-from datetime import UTC, datetime, timedelta
+from itertools import count
 
 import netCDF4
 import numpy as np
@@ -123,15 +124,9 @@ def test_history_survives_any_command_line(monkeypatch, tmp_path):
 
 
 def test_what_is_given_back_is_what_stands_in_the_file(monkeypatch, tmp_path):
-    class Clock(datetime):  # a second passes whenever it is asked
-        asked = 0
-
-        @classmethod
-        def now(cls, tz=None):
-            cls.asked += 1
-            return datetime(2001, 1, 1, tzinfo=UTC) + timedelta(seconds=cls.asked)
-
-    monkeypatch.setattr(store, "datetime", Clock)
+    clock = count(978307200)  # 2001; a second passes whenever it is asked
+    gmtime = time.gmtime
+    monkeypatch.setattr(store.time, "gmtime", lambda *given: gmtime(*given or (next(clock),)))
     first = tr.simulate(SCENE, "linear", samples=2, output=tmp_path / "a.nc")
     assert first.attrs["history"].startswith("2001-01-01") and tr.open(tmp_path / "a.nc").identical(first)
 

@@ -61,7 +61,7 @@ def error_estimate(scene, name: str, numerics: dict, last: Sample, pair_ratio=No
     if last.time != scene.duration:  # samples at times of their own
         scene = replace(scene, duration=last.time)
     module = model(name)
-    uneven = last.road_height - last.road_height.mean()
+    uneven = last.road_height - np.add.reduce(last.road_height) / last.road_height.size
     size = math.sqrt(uneven @ uneven / uneven.size)
     often = numerics
     linear = name == "cars" and _is_linear(scene, numerics, last)

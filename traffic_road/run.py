@@ -285,7 +285,7 @@ def _collect(keeper, module, times, numerics, progress, outside) -> str:
                 continue
             if not keeper.count and keeper.output is None:
                 _refuse_too_many(item, len(times))
-            road_height = item.road_height if unbroken(item) else np.full(1, np.nan)
+            road_height = item.road_height if unbroken_cars(item) else np.full(1, np.nan)
             if trouble := watch.trouble(road_height):
                 if not keeper.count and not corrugation(road_height) < RUNAWAY:
                     raise SceneError(
@@ -312,7 +312,6 @@ def _refuse_too_many(sample: Sample, held: int) -> None:
     refuse_beyond_memory(2.5 * held * size, what, "use fewer samples or nodes")
 
 
-def unbroken(sample: Sample) -> bool:
-    """False where a number has been lost: a sum with it is none, either."""
-    total = np.add.reduce
-    return math.isfinite(total(sample.road_height) + total(sample.car_height) + total(sample.contact_force))
+def unbroken_cars(sample: Sample) -> bool:
+    """False where a number of the cars has been lost: a sum with it is none, either."""
+    return math.isfinite(np.add.reduce(sample.car_height) + np.add.reduce(sample.contact_force))

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 import tomllib
 from dataclasses import MISSING, dataclass, field, fields
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -126,6 +127,19 @@ class Scene:
         if self.fleet.position is not None:
             self._refuse_shared_positions()
 
+    def __hash__(self):
+        return self._hash
+
+    @cached_property
+    def _hash(self) -> int:
+        """Asked for at every turn, by what is known of a scene already."""
+        return hash((self.road, self.fleet, self.duration, self.lift_off, self.scales))
+
+    def __getstate__(self):
+        return {
+            f.name: getattr(self, f.name) for f in fields(self)
+        }  # not the hash: another process has others of strings
+
     def _refuse_shared_positions(self):
         length = self.road.length
         position = self.fleet.positions(length)
@@ -158,10 +172,10 @@ class Scene:
             road[name] = _law_to_plain(getattr(self.road, name))
         road["profile"] = _tagged(self.road.profile, PROFILES, "kind")
         out["road"] = road
-        fleet = {f.name: getattr(self.fleet, f.name) for f in fields(Fleet)}
+        fleet = vars(self.fleet)
         out["fleet"] = {k: list(v) if isinstance(v, tuple) else v for k, v in fleet.items() if v is not None}
         if self.scales is not None:
-            out["scales"] = {f.name: getattr(self.scales, f.name) for f in fields(Scales)}
+            out["scales"] = dict(vars(self.scales))
         return out
 
     @classmethod
@@ -237,8 +251,7 @@ def _law_to_plain(law):
 
 def _tagged(value, kinds, tag):
     name = next(name for name, kind in kinds.items() if type(value) is kind)
-    plain = {f.name: getattr(value, f.name) for f in fields(value)}
-    return {tag: name} | {k: list(v) if isinstance(v, tuple) else v for k, v in plain.items()}
+    return {tag: name} | {k: list(v) if isinstance(v, tuple) else v for k, v in vars(value).items()}
 
 
 def _untagged(where, data, kinds, tag):

@@ -9,8 +9,8 @@ import shlex
 import stat
 import sys
 import tempfile
+import time
 import zlib
-from datetime import UTC, datetime
 from functools import lru_cache
 from importlib.metadata import version
 from pathlib import Path
@@ -19,7 +19,6 @@ import netCDF4
 import numpy as np
 import pandas as pd
 import xarray as xr
-from xarray.core.indexing import PandasIndexingAdapter
 
 from .errors import StoreError, TrafficRoadError, shown
 from .scales import HEIGHT, LENGTH, RATE, SINK_RATE, TIME, VELOCITY
@@ -88,7 +87,7 @@ def origin() -> dict:
 
 def history() -> str:
     """The line that says when, and by which command."""
-    return f"{datetime.now(UTC):%Y-%m-%dT%H:%M:%SZ} {_command(tuple(sys.argv))}"
+    return f"{time.strftime('%Y-%m-%dT%H:%M:%SZ', time.gmtime())} {_command(tuple(sys.argv))}"
 
 
 @lru_cache(maxsize=1)
@@ -133,10 +132,10 @@ def dataset(scene: Scene, model: str, numerics: dict, columns: dict, outcome: di
     variables = {name: variable(name, dims.get(name, on), columns[name]) for name in columns if name != "time"}
     indexes = {}
     for name, values in axes.items():
-        index = pd.Index(values, name=name)
+        index = pd.Index(values, dtype=values.dtype, copy=False, name=name)
         indexes[name] = xr.indexes.PandasIndex(index, name, coord_dtype=values.dtype, fastpath=True)
-        data = PandasIndexingAdapter(index, values.dtype)
-        variables[name] = xr.IndexVariable((name,), data, describe(name), fastpath=True)
+        variables |= indexes[name].create_variables()
+        variables[name].attrs = describe(name)
     attributes = provenance(scene, f"Corrugation of a road, {model} model")
     attributes |= {"model": model, "numerics": json.dumps(numerics)} | outcome
     sizes = {name: values.size for name, values in axes.items()}

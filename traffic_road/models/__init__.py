@@ -15,6 +15,7 @@ PAIR_RATIO                             a run differs from its coarser one by at 
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import cache
 from importlib import import_module
 from time import perf_counter
 from types import ModuleType
@@ -70,4 +71,9 @@ def model(name: str) -> ModuleType:
     """The model called `name`, imported when it is asked for."""
     if name not in MODELS:
         raise SceneError(f"model = {name!r}: must be one of {', '.join(('auto', *MODELS))}")
+    return _imported(name)
+
+
+@cache
+def _imported(name: str) -> ModuleType:
     return import_module(f"{__name__}.{name}")

@@ -37,6 +37,7 @@ from ..memory import refuse_beyond_memory
 from ..schemes.exponential import SAFE, step_limit
 from . import Breath, Pace, Sample
 from .continuum_state import Continuum, Kinds, base_wave, constant, linear_throughout, modes, present, start
+from .continuum_waves import longest_taken
 
 KEYWORDS = ("nodes", "step")
 RESOLVED = 0.625  # of `resolving`: a grid with room for that wave, and a quarter more
@@ -172,14 +173,8 @@ def finer(scene, numerics: dict, given: dict) -> dict:
 
 def fitted(times, numerics: dict) -> dict:
     """With the longest `step` that is taken where equal ones lead from one sample to the next, shorter ones from the start."""
-    step, times = numerics["step"], np.asarray(times, dtype=float)
-    gaps = times[1:] - times[:-1]
-    counts = np.maximum(1.0, np.ceil(gaps / step * (1 - 1e-12)))
-    begun = BEGINNING[-1][0]
-    if gaps[0] > begun * step:
-        counts[0] = begun + max(1, math.ceil((gaps[0] / step - begun) * (1 - 1e-12)))
-    longest = float(np.max(gaps / counts))
-    return numerics | {"step": longest} if longest < (1 - 1e-9) * step else numerics
+    longest = longest_taken(np.asarray(times, dtype=float), numerics["step"], BEGINNING[-1][0])
+    return numerics | {"step": longest} if longest < (1 - 1e-9) * numerics["step"] else numerics
 
 
 def stage(now: float, time: float, step: float, unit: float) -> tuple[float, int]:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.fft import irfft, rfft  # less overhead a call than scipy.fft on the short transforms of one wave
 
 from ..laws import Constant
-from ..schemes.exponential import doubled, eigenvectors, exact, krogstad, stays_below
+from ..schemes.exponential import doubled, eigenvectors, exact, krogstad
 from ..schemes.oscillator import settled_waves
 from . import continuum_kernels as kernels
 from . import continuum_waves as waves
@@ -25,28 +25,31 @@ TOO_LARGE = 1e100  # a law on its way to overflow: the matrices of the last sane
 
 
 class Kinds(NamedTuple):
-    """The distinct kinds of car and their shares of the fleet, each (kinds,)."""
+    """The distinct kinds of car and their shares of the fleet, each (kinds,).
+
+    weight: share times mass, so that a sum over kinds is the mean force over the cars; square: omega^2.
+    """
 
     speed: np.ndarray
     frequency: np.ndarray
     damping: np.ndarray
     mass: np.ndarray
     share: np.ndarray
+    weight: np.ndarray
+    square: np.ndarray
 
     @classmethod
     @lru_cache(maxsize=2)
     def of(cls, fleet) -> Kinds:
-        cars = [getattr(fleet, name) for name in cls._fields[:-1]]
+        cars = [getattr(fleet, name) for name in cls._fields[:4]]
         if not any(isinstance(values, tuple) for values in cars):
-            return cls(*np.array(cars)[:, None], np.ones(1))
-        cars = np.column_stack([fleet.per_car(name) for name in cls._fields[:-1]])
-        kinds, count = np.unique(cars, axis=0, return_counts=True)
-        return cls(*np.ascontiguousarray(kinds.T), count / fleet.count)
-
-    @property
-    def weight(self) -> np.ndarray:
-        """Share times mass, so that a sum over kinds is the mean force over the cars."""
-        return self.share * self.mass
+            cars, share = np.array(cars)[:, None], np.ones(1)
+        else:
+            kinds, count = np.unique(
+                np.column_stack([fleet.per_car(name) for name in cls._fields[:4]]), axis=0, return_counts=True
+            )
+            cars, share = np.ascontiguousarray(kinds.T), count / fleet.count
+        return cls(*cars, share, share * cars[3], cars[1] ** 2)
 
     @property
     def quickest(self) -> float:
@@ -72,7 +75,7 @@ class Start(NamedTuple):
     state: np.ndarray  # H, then Y of each kind, then P of each kind, shape (1 + 2 kinds, modes)
     alpha: float
     delta: float
-    linear: tuple[np.ndarray, np.ndarray]  # of `waves.linear_part`
+    linear: list[np.ndarray]  # of `waves.linear_part`
 
 
 @lru_cache(maxsize=2)  # asked for by `numerics`, and again by the run that follows
@@ -81,14 +84,14 @@ def start(scene, nodes: int) -> Start:
     road, kinds = scene.road, Kinds.of(scene.fleet)
     spectrum = road.profile.spectrum(road.length, nodes)
     k = 2 * np.pi / road.length * np.arange(modes(nodes))
-    state = np.zeros((1 + 2 * len(kinds.speed), k.size), dtype=complex)
-    state[0] = spectrum[: k.size]
-    alpha, delta = references(road, state, nodes)
-    if scene.fleet.start == "settled" and not waves.settle(state, k, *kinds[:3], alpha * kinds.weight.sum()):
+    alpha, delta = references(road, spectrum[: k.size], nodes)
+    settled = scene.fleet.start == "settled"
+    state, possible, *linear = waves.begun(spectrum, k, *kinds[:3], kinds.weight, alpha, delta, settled)
+    if not possible:
         settled_waves(
             state[0], np.arange(k.size), road.length, *(value[:, None] for value in kinds[:3])
         )  # says why not
-    return Start(kinds, k, spectrum, state, alpha, delta, waves.linear_part(k, *kinds[:3], kinds.weight, alpha, delta))
+    return Start(kinds, k, spectrum, state, alpha, delta, linear)
 
 
 def present(wave: np.ndarray) -> np.ndarray:
@@ -102,13 +105,14 @@ def base_wave(spectrum: np.ndarray) -> int:
     return max(1, int(np.gcd.reduce(present(spectrum).nonzero()[0])))
 
 
-def references(road, state, nodes: int) -> tuple[float, float]:
-    """Softness at the mean height of the road, and the largest diffusivity on it (laws do not decrease with H)."""
+def references(road, wave, nodes: int) -> tuple[float, float]:
+    """Softness at the mean height of the road of these waves, (modes,), and the largest diffusivity on it (laws do not
+    decrease with H)."""
     if constant(road):
         return road.softness.value, road.diffusivity.value
     varies = not isinstance(road.diffusivity, Constant)
-    highest = irfft(state[0], n=OVERSAMPLING * nodes, norm="forward").max() if varies else 0.0
-    return float(road.softness(state[0, 0].real)), float(road.diffusivity(highest))
+    highest = irfft(wave, n=OVERSAMPLING * nodes, norm="forward").max() if varies else 0.0
+    return float(road.softness(wave[0].real)), float(road.diffusivity(highest))
 
 
 @lru_cache(maxsize=2)  # asked for by the run, and again by its error estimate
@@ -144,7 +148,7 @@ class Continuum:
         self.lift_off = scene.lift_off
         self.nodes, self.fine = nodes, OVERSAMPLING * nodes
         self.count = len(kinds.speed)
-        self.square, self.weight = kinds.frequency**2, kinds.weight
+        self.square, self.weight = kinds.square, kinds.weight
         self.state, self.step = state.copy(), 0.0
         self.built = 0.0  # the step for which the matrices were made, before they were doubled to `step`
         self.few = nodes <= (FEW_NODES if self.constant else FEW_NODES_VARYING)
@@ -186,18 +190,19 @@ class Continuum:
             while self.step < left["step"]:  # as it was come to: another way differs by roundings
                 self.double()
 
-    @np.errstate(all="ignore")
     def stays_linear(self, duration: float) -> bool:
         """Whether it is certain that for `duration` no law varies and no car takes off."""
         if not self.constant or not self.lift_off:
             return self.constant
-        moving = waves.moving(self.state, self.square)  # most often the largest wave alone decides at once
-        if not moving.size:
-            return False
+        rest = self.alpha * self.weight.sum()
+        lifted, moving = waves.moving(
+            self.state, self.square, rest
+        )  # most often the largest wave alone decides at once
+        if lifted or not moving.size:
+            return not lifted
         if self.decay is None or self.decay[0].shape[0] != moving.size:
             self.decay = eigenvectors(self.linear[0][moving])
-        state = waves.about_rest(self.state, moving, self.alpha * self.weight.sum())
-        return stays_below(1 / self.square, *self.decay, state, 1, duration)
+        return waves.stay_below(self.state, moving, rest, self.square, *self.decay, duration)
 
     def remainder(self, state: np.ndarray) -> np.ndarray:
         """N of every wave, the weight <m> of the cars included in the mean; shape (modes,)."""
@@ -240,7 +245,7 @@ class Continuum:
 
     def renew(self, step: float) -> None:
         """Rebuild the matrices for a new step, or where a reference value has drifted."""
-        alpha, delta = references(self.road, self.state, self.nodes)
+        alpha, delta = references(self.road, self.state[0], self.nodes)
         drift, spread = abs(alpha - self.alpha), abs(delta - self.delta)
         drifted = (drift > DRIFT * self.alpha and drift * step > RESOLVED) or (
             spread > DRIFT * self.delta and spread * self.k[-1] ** 2 * step > RESOLVED
@@ -254,7 +259,6 @@ class Continuum:
         elif step != self.step:
             self.double()
 
-    @np.errstate(all="ignore")
     def leap(self, duration: float) -> None:
         """Take `duration` in one step: exact where the remainder is constant."""
         if duration != self.step:
@@ -278,12 +282,11 @@ class Continuum:
             else:
                 self.state = krogstad(self.state, self.remainder, self.half, self.full)
 
-    @np.errstate(all="ignore")
     def fields(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Road height, mean car height, mean of mass times contact force, on the nodes."""
-        waves_of_both = self.state[: 1 + self.count]
+        cars = self.square, self.kinds.share, self.weight, self.lift_off
         if self.nodes <= SHORT:
-            values = kernels.on_nodes(waves_of_both, self.nodes)
-        else:
-            values = irfft(waves_of_both, n=self.nodes, norm="forward")
-        return waves.fields(values, self.square, self.kinds.share, self.weight, self.lift_off)
+            return waves.fields_of(self.state, self.nodes, *cars)
+        with np.errstate(all="ignore"):
+            values = irfft(self.state[: 1 + self.count], n=self.nodes, norm="forward")
+        return waves.fields(values, *cars)

@@ -7,9 +7,23 @@ import math
 import numpy as np
 
 from ..compiled import njit
+from ..schemes.exponential import stays_below
+from .continuum_kernels import on_nodes
 
 COMPILE = {"cache": True, "error_model": "numpy"}
 EPS = float(np.finfo(float).eps)
+
+
+@njit(**COMPILE)
+def longest_taken(times, step, begun):
+    """The longest of the fewest equal steps, none above `step`, between samples at `times` (n,); the first `begun` of them are
+    parted further."""
+    longest = 0.0
+    for i in range(times.size - 1):
+        gap = times[i + 1] - times[i]
+        before = begun if i == 0 and gap > begun * step else 0.0
+        longest = max(longest, gap / (before + max(1.0, math.ceil((gap / step - before) * (1 - 1e-12)))))
+    return longest
 
 
 @njit(**COMPILE)
@@ -41,6 +55,16 @@ def linear_part(k, speed, frequency, damping, weight, alpha, delta):
 
 
 @njit(**COMPILE)
+def begun(spectrum, k, speed, frequency, damping, weight, alpha, delta, settled):
+    """The state at the start, (size, modes), whether it is possible, and `linear_part`; settled: whether the cars are."""
+    state = np.zeros((1 + 2 * speed.size, k.size), np.complex128)
+    state[0] = spectrum[: k.size]
+    possible = not settled or settle(state, k, speed, frequency, damping, alpha * weight.sum())
+    system, source = linear_part(k, speed, frequency, damping, weight, alpha, delta)
+    return state, possible, system, source
+
+
+@njit(**COMPILE)
 def settle(state, k, speed, frequency, damping, sink_rate):
     """Give the cars of `state` (size, modes) their periodic response to its road; False where one is in resonance with it.
 
@@ -62,33 +86,40 @@ def settle(state, k, speed, frequency, damping, sink_rate):
 
 
 @njit(**COMPILE)
-def moving(state, square):
-    """Numbers of the waves of `state` (size, modes) that are there at all, the mean included: a profile of one wave has no
-    other. None where one of them alone lifts cars off the road; square: omega^2 of each kind, (kinds,)."""
+def moving(state, square, sink_rate):
+    """Whether a wave of `state` (size, modes) lifts cars off the road all by itself; if not, the numbers of those that are
+    there at all: a profile of one wave has no other, and the mean counts where cars do not rest on a road that sinks.
+
+    square: omega^2 of each kind, (kinds,).
+    """
     count, found = 0, np.zeros(state.shape[1], np.int64)
     for m in range(state.shape[1]):
         for i in range(square.size):
             if square[i] * abs(state[1 + i, m]) >= 1.0:
-                return found[:0]
-        for i in range(state.shape[0]):
-            if m == 0 or state[i, m] != 0:
+                return True, found[:0]
+        for i in range(0 if m > 0 else 1, state.shape[0]):
+            if state[i, m] != (-sink_rate if m == 0 and i > square.size else 0.0):
                 found[count] = m
                 count += 1
                 break
-    return found[:count]
+    return False, found[:count]
 
 
 @njit(**COMPILE)
-def about_rest(state, moving, sink_rate):
-    """These waves of `state` (1 + 2 kinds, modes), the mean about cars at rest on a road that sinks."""
-    size, kinds = state.shape[0], state.shape[0] // 2
-    kept = np.empty((size, moving.size), np.complex128)
-    for i in range(size):
-        for n in range(moving.size):
+def stay_below(state, moving, sink_rate, square, rate, shape, inverse, duration):
+    """Whether cars that are in contact, by these waves of `state` (1 + 2 kinds, modes), are sure to stay so for `duration`.
+
+    rate, shape, inverse: `schemes.exponential.eigenvectors` of these waves.
+    """
+    size, kinds = state.shape[0], square.size
+    kept, share = np.empty((size, moving.size), np.complex128), np.full(moving.size, 2.0)
+    for n in range(moving.size):
+        for i in range(size):
             kept[i, n] = state[i, moving[n]]
-        kept[i, 0] += sink_rate if i > kinds else 0.0
-    kept[0, 0] = 0.0
-    return kept
+        if moving[n] == 0:  # about cars at rest on a road that sinks
+            share[n], kept[0, n] = 1.0, 0.0
+            kept[1 + kinds :, n] += sink_rate
+    return stays_below(1 / square, rate, shape, inverse, kept, share, 1, duration)
 
 
 @njit(**COMPILE)
@@ -114,6 +145,12 @@ def fields(values, square, share, weight, lift_off):
             load = 1.0 - square[i] * values[1 + i, j]
             force[j] += weight[i] * (0.0 if lift_off and load < 0.0 else load)
     return height, car, force
+
+
+@njit(**COMPILE)
+def fields_of(state, nodes, square, share, weight, lift_off):
+    """The same of a `state` (1 + 2 kinds, modes) on few nodes."""
+    return fields(on_nodes(state[: 1 + square.size], nodes), square, share, weight, lift_off)
 
 
 @njit(**COMPILE)

@@ -200,14 +200,14 @@ def _eigenvectors(system):
 
 
 @njit(cache=True, error_model="numpy")
-def stays_below(limit, rate, shape, inverse, u, first, duration):
+def stays_below(limit, rate, shape, inverse, u, share, first, duration):
     """Whether u' = L u keeps real Fourier series below `limit` (rows,) for `duration`, wherever one looks on the ring.
 
-    The series are those in the rows of u from `first` on. u (size, systems) holds the mean and then waves of each; rate,
-    shape, inverse: `eigenvectors` of L. A wave is a sum of exponentials of time, so that its amplitude is never above the
-    sum of their largest sizes, and the series never above the sum over its waves. That may say too little as long as the
-    exponentials cancel: then one looks ahead a little, by the rate at which their phases part, and asks again. Where
-    eigenvectors nearly coincide this finds no bound, never a false one.
+    The series are those in the rows of u from `first` on. u (size, systems) holds their waves; share (systems,) is 2, of
+    those that stand for their conjugates, too, or 1, of the mean; rate, shape, inverse: `eigenvectors` of L. A wave is a sum
+    of exponentials of time, so that its amplitude is never above the sum of their largest sizes, and the series never above
+    the sum over its waves. That may say too little as long as the exponentials cancel: then one looks ahead a little, by the
+    rate at which their phases part, and asks again. Where eigenvectors nearly coincide this finds no bound, never a false one.
     """
     systems, size = rate.shape
     term = np.empty((systems, limit.size, size), np.complex128)  # the exponentials, which move at `rate`
@@ -224,8 +224,7 @@ def stays_below(limit, rate, shape, inverse, u, first, duration):
         for row in range(limit.size):
             largest = reach = 0.0
             for s in range(rate.shape[0]):
-                count = 2.0 if s > 0 else 1.0  # a wave and its conjugate
-                some, total, main, parting = term[s, row], 0j, 0, 0.0
+                count, some, total, main, parting = share[s], term[s, row], 0j, 0, 0.0
                 for j in range(some.size):
                     size = abs(some[j])
                     largest += count * size * math.exp(max(rate[s, j].real, 0.0) * duration)
