@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 import tomllib
 from dataclasses import MISSING, dataclass, field, fields
-from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -128,12 +127,11 @@ class Scene:
             self._refuse_shared_positions()
 
     def __hash__(self):
-        return self._hash
-
-    @cached_property
-    def _hash(self) -> int:
-        """Asked for at every turn, by what is known of a scene already."""
-        return hash((self.road, self.fleet, self.duration, self.lift_off, self.scales))
+        known = vars(self).get("_hash")  # asked for at every turn, by what is known of a scene already
+        if known is None:
+            known = hash((self.road, self.fleet, self.duration, self.lift_off, self.scales))
+            object.__setattr__(self, "_hash", known)
+        return known
 
     def __getstate__(self):
         return {

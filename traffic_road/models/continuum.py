@@ -81,7 +81,7 @@ def unstable_numerics(scene, given: dict) -> dict:
     unknown = sorted(set(given) - set(KEYWORDS))
     if unknown:
         raise SceneError(f"unknown keyword {unknown[0]!r} for the continuum; allowed are {', '.join(KEYWORDS)}")
-    step = finite("step", given.get("step", default_step(scene)), above=0)
+    step = finite("step", given["step"] if "step" in given else default_step(scene), above=0)
     if scene.duration / step > MOST_STEPS:
         raise SceneError(
             f"step = {step:g}: more than {MOST_STEPS:.0e} steps in a duration of {scene.duration:g}; use a longer step"
@@ -98,9 +98,9 @@ def unstable_numerics(scene, given: dict) -> dict:
     size = 2 * len(kinds.speed) + 4  # four complex matrices a wave at most
     refuse_beyond_memory(4 * nodes * size**2, f"nodes = {nodes}", "use fewer nodes or a shorter ring")
     begin = start(scene, nodes)
-    if nodes % 2 == 0 and present(begin.spectrum)[-1]:  # a wave of two nodes: where it moves cannot be told
+    if nodes % 2 == 0 and begin.spectrum[-1] and present(begin.spectrum)[-1]:  # its motion cannot be told
         raise SceneError(f"nodes = {nodes}: the profile has {nodes // 2} waves on the ring; use nodes >= {nodes + 1}")
-    if not np.isfinite(begin.alpha + begin.delta + np.abs(begin.state).sum()):
+    if not begin.finite:
         raise SceneError(
             f"Road: softness {begin.alpha:g} and diffusivity {begin.delta:g} at the start are too large; "
             f"use a lower value or hardening, or a lower profile"

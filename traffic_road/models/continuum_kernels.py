@@ -266,6 +266,14 @@ def on_nodes(waves, nodes):
 
 
 @njit(**COMPILE)
+def on_waves(values, modes):
+    """The series (2, modes) of values (nodes,)."""
+    series = np.empty((2, modes))
+    _analyse(values, *table(modes, values.size), series)
+    return series
+
+
+@njit(**COMPILE)
 def _copy(target, source):
     """Arrays (rows, 2, modes); numba compiles an assignment of slices for seconds."""
     for i in range(source.shape[0]):

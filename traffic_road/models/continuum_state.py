@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -27,7 +27,8 @@ TOO_LARGE = 1e100  # a law on its way to overflow: the matrices of the last sane
 class Kinds(NamedTuple):
     """The distinct kinds of car and their shares of the fleet, each (kinds,).
 
-    weight: share times mass, so that a sum over kinds is the mean force over the cars; square: omega^2.
+    weight: share times mass, so that a sum over kinds is the mean force over the cars; square: omega^2; load: the sum of
+    the weights.
     """
 
     speed: np.ndarray
@@ -37,6 +38,7 @@ class Kinds(NamedTuple):
     share: np.ndarray
     weight: np.ndarray
     square: np.ndarray
+    load: float
 
     @classmethod
     @lru_cache(maxsize=2)
@@ -49,7 +51,7 @@ class Kinds(NamedTuple):
                 np.column_stack([fleet.per_car(name) for name in cls._fields[:4]]), axis=0, return_counts=True
             )
             cars, share = np.ascontiguousarray(kinds.T), count / fleet.count
-        return cls(*cars, share, share * cars[3], cars[1] ** 2)
+        return cls(*cars, share, share * cars[3], cars[1] ** 2, float(share @ cars[3]))
 
     @property
     def quickest(self) -> float:
@@ -75,6 +77,7 @@ class Start(NamedTuple):
     state: np.ndarray  # H, then Y of each kind, then P of each kind, shape (1 + 2 kinds, modes)
     alpha: float
     delta: float
+    finite: bool  # whether no number has overflowed
     linear: list[np.ndarray]  # of `waves.linear_part`
 
 
@@ -86,12 +89,12 @@ def start(scene, nodes: int) -> Start:
     k = 2 * np.pi / road.length * np.arange(modes(nodes))
     alpha, delta = references(road, spectrum[: k.size], nodes)
     settled = scene.fleet.start == "settled"
-    state, possible, *linear = waves.begun(spectrum, k, *kinds[:3], kinds.weight, alpha, delta, settled)
+    state, possible, finite, *linear = waves.begun(spectrum, k, *kinds[:3], kinds.weight, alpha, delta, settled)
     if not possible:
         settled_waves(
             state[0], np.arange(k.size), road.length, *(value[:, None] for value in kinds[:3])
         )  # says why not
-    return Start(kinds, k, spectrum, state, alpha, delta, linear)
+    return Start(kinds, k, spectrum, state, alpha, delta, finite, linear)
 
 
 def present(wave: np.ndarray) -> np.ndarray:
@@ -124,8 +127,10 @@ def linear_throughout(scene, nodes: int, duration: float) -> bool:
 def left_by_rounding(scene, road_height, time: float) -> float:
     """Root mean square error, mean removed, at `time` of a run without steps, exact but for the rounding of numbers."""
     nodes = road_height.size
-    begin, wave = start(scene, nodes), rfft(road_height, norm="forward")[: modes(nodes)]
-    return waves.left_by_rounding(wave, begin.state, begin.linear[0], time)
+    begin = start(scene, nodes)
+    if nodes <= SHORT:
+        return waves.left_on_few(road_height, begin.state, begin.linear[0], time)
+    return waves.left_by_rounding(rfft(road_height, norm="forward")[: modes(nodes)], begin.state, begin.linear[0], time)
 
 
 def grown_from_rounding(scene, road_height) -> float:
@@ -142,7 +147,7 @@ class Continuum:
     """The state of cars and road, (1 + 2 kinds, modes), and how it moves on."""
 
     def __init__(self, scene, nodes: int):
-        self.kinds, self.k, _, state, self.alpha, self.delta, self.linear = start(scene, nodes)
+        self.kinds, self.k, _, state, self.alpha, self.delta, _, self.linear = start(scene, nodes)
         kinds, self.road = self.kinds, scene.road
         self.constant = constant(scene.road)
         self.lift_off = scene.lift_off
@@ -152,8 +157,12 @@ class Continuum:
         self.state, self.step = state.copy(), 0.0
         self.built = 0.0  # the step for which the matrices were made, before they were doubled to `step`
         self.few = nodes <= (FEW_NODES if self.constant else FEW_NODES_VARYING)
-        self.laws = np.array([*scene.road.softness.kernel, *scene.road.diffusivity.kernel], dtype=float)
         self.decay = self.table = self.half = None  # made when needed
+
+    @cached_property
+    def laws(self) -> np.ndarray:
+        """Of softness and of diffusivity, for compiled loops: kind, value and shape, one after the other."""
+        return np.array([*self.road.softness.kernel, *self.road.diffusivity.kernel], dtype=float)
 
     def build(self, step: float) -> None:
         """Solve the linear part, of every wave, over `step` and half of it."""
@@ -194,7 +203,7 @@ class Continuum:
         """Whether it is certain that for `duration` no law varies and no car takes off."""
         if not self.constant or not self.lift_off:
             return self.constant
-        rest = self.alpha * self.weight.sum()
+        rest = self.alpha * self.kinds.load
         lifted, moving = waves.moving(
             self.state, self.square, rest
         )  # most often the largest wave alone decides at once
@@ -229,7 +238,7 @@ class Continuum:
     def at_rest(self) -> np.ndarray:
         """The remainder where laws are constant and no car is airborne: the weight of the cars."""
         out = np.zeros(self.k.size, dtype=complex)
-        out[0] = -self.alpha * self.weight.sum()
+        out[0] = -self.alpha * self.kinds.load
         return out
 
     def frozen(self) -> np.ndarray:
@@ -263,7 +272,7 @@ class Continuum:
         """Take `duration` in one step: exact where the remainder is constant."""
         if duration != self.step:
             self.step, self.half, self.full = duration, None, exact(*self.linear, duration)
-        self.state = waves.leap(self.state, self.full, -self.alpha * self.weight.sum())
+        self.state = waves.leap(self.state, self.full, -self.alpha * self.kinds.load)
 
     @np.errstate(all="ignore")
     def advance(self, step: float, steps: int) -> None:

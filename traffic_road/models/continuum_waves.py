@@ -8,7 +8,7 @@ import numpy as np
 
 from ..compiled import njit
 from ..schemes.exponential import stays_below
-from .continuum_kernels import on_nodes
+from .continuum_kernels import on_nodes, on_waves
 
 COMPILE = {"cache": True, "error_model": "numpy"}
 EPS = float(np.finfo(float).eps)
@@ -56,12 +56,13 @@ def linear_part(k, speed, frequency, damping, weight, alpha, delta):
 
 @njit(**COMPILE)
 def begun(spectrum, k, speed, frequency, damping, weight, alpha, delta, settled):
-    """The state at the start, (size, modes), whether it is possible, and `linear_part`; settled: whether the cars are."""
+    """The state at the start, (size, modes), if it can be, if it is finite, and `linear_part`; settled: if cars are."""
     state = np.zeros((1 + 2 * speed.size, k.size), np.complex128)
     state[0] = spectrum[: k.size]
     possible = not settled or settle(state, k, speed, frequency, damping, alpha * weight.sum())
     system, source = linear_part(k, speed, frequency, damping, weight, alpha, delta)
-    return state, possible, system, source
+    finite = math.isfinite(alpha + delta + np.abs(state).sum())
+    return state, possible, finite, system, source
 
 
 @njit(**COMPILE)
@@ -173,3 +174,10 @@ def left_by_rounding(wave, begin, system, time):
             error *= min(1.0, EPS * (highest + time * norm * math.sqrt(state)) / first)
         total += error**2
     return math.sqrt(2 * total)
+
+
+@njit(**COMPILE)
+def left_on_few(heights, begin, system, time):
+    """The same of road heights on few nodes, (nodes,)."""
+    series = on_waves(heights, begin.shape[1])
+    return left_by_rounding(series[0] + 1j * series[1], begin, system, time)
