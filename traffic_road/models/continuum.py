@@ -120,12 +120,12 @@ def longest_step(scene, numerics: dict) -> float:
     if not scene.lift_off or linear_throughout(scene, nodes, scene.duration):
         return np.inf
     begin = start(scene, nodes)
+    if step * 0.5 * begin.alpha * float(begin.kinds.weight @ begin.kinds.square) < SAFE:  # the rate at which that acts
+        return np.inf
     system, source = begin.linear
     cars = slice(1, 1 + len(begin.kinds.speed))
     row = np.zeros(system.shape[:2], dtype=complex)
     row[:, cars] = -0.5 * system[:, 0, cars]
-    if step * np.abs(row @ source).max() < SAFE:
-        return np.inf
     # waves that cars answer to, and no more than tell where the limit is
     longest = max(2, np.count_nonzero(begin.k <= 3 * begin.kinds.quickest))
     some = np.unique(np.linspace(0, min(longest, begin.k.size) - 1, MOST_WAVES).astype(int))
