@@ -48,6 +48,7 @@ MARKS = {
 
 def work(name: str, quick: bool, folder: Path) -> None:
     """What a process does: go on if there is a checkpoint, else begin."""
+    sys.modules["dask"] = None  # as where it is not installed: xarray loads it wherever it is
     from traffic_road import keeper, models, run  # noqa: F401 - all that is slow to import is there before the clock runs
 
     models.model(RUNS[name][1])

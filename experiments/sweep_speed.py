@@ -31,7 +31,8 @@ from traffic_road.store import TEMPORARY
 
 PAPER = tr.preset("paper")
 BAR = 1.8  # what two workers must be worth on 64 scenes
-COMMAND = "import sys; from traffic_road.cli import main; sys.exit(main())"
+# as where Dask is not installed: xarray loads it wherever it is, which takes each process most of a second
+COMMAND = 'import sys; sys.modules["dask"] = None; from traffic_road.cli import main; sys.exit(main())'
 
 
 def rates(side: int, duration: float, repeats: int) -> dict[int, float]:
