@@ -29,7 +29,7 @@ def test_paper_scene_agrees_all_round():
 
 def test_gravel_compares_the_wave_that_grows_fastest_and_stops_the_window_at_lift_off():
     scene = tr.preset("gravel")
-    ds = tr.compare(scene, samples=29)
+    ds = tr.compare(scene, samples=29, tolerance=1e-2)  # rates are not what takes a fine grid
     k = 2 * np.pi / scene.road.length * np.arange(1, 25)
     a, d = scene.road.softness.value, scene.road.diffusivity.value
     rate = tr.theory.dispersion(k, softness=a, diffusivity=d, damping=0.3).real
