@@ -202,8 +202,8 @@ def plan(until, nodes, order, place, crossed, first_due, step, number, spare, to
 
     order (cars,): cars in ascending order. place, crossed (cars,): the next node of each and the nodes crossed so far;
     car c crosses its n-th node, from 0, at first_due[c] + n * step[c]; number (cars,) tells which goes first at the same time.
-    spare (5, cars). touched (nodes,), the level at
-    which nodes were crossed; top (1,): the highest so far. units (n, 4), ranking (n,): room, replaced where it is short.
+    spare (5, cars). touched (nodes,): the level at which nodes were crossed; top (1,): the highest so far. units (n, 4) and
+    ranking (n,): room, replaced where it is short, of which the first `made` are units already.
     Returns units, ranking (by level, the longer first) and their number; -1, and no car moved, if the time is so long
     that no node is left uncrossed.
     """
