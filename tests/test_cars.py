@@ -630,10 +630,11 @@ def test_any_exponent_is_the_iteration(shape):
     np.testing.assert_allclose(found, wanted.road_height, rtol=0, atol=1e-13)
 
 
-@pytest.mark.parametrize("diffusivity", [0.05, 2e-4])  # by bands, and by ripples
-def test_threads_change_no_bit(diffusivity):
+# by bands, of a panel for each thread and of two, and by ripples
+@pytest.mark.parametrize(("count", "diffusivity"), [(4100, 0.05), (8200, 0.05), (4100, 2e-4)])
+def test_threads_change_no_bit(count, diffusivity):
     case = tr.Scene(
-        tr.Road(0.87 * 4100, 0.02, diffusivity, tr.Sine(1.5, 2 * np.pi / 8.7)), tr.Fleet(4100, 0.1), 12 * 0.87
+        tr.Road(0.87 * count, 0.02, diffusivity, tr.Sine(1.5, 2 * np.pi / 8.7)), tr.Fleet(count, 0.1), 12 * 0.87
     )
     before = numba.get_num_threads()
     if before < 2:
@@ -641,7 +642,7 @@ def test_threads_change_no_bit(diffusivity):
     roads = []
     for threads in (1, 2):
         numba.set_num_threads(threads)
-        roads.append(run(case, [0.0, 12 * 0.87], nodes=4100 * 8, relax_every=4)[-1].road_height)
+        roads.append(run(case, [0.0, 12 * 0.87], nodes=count * 8, relax_every=4)[-1].road_height)
     numba.set_num_threads(before)
     for road in roads:
         np.testing.assert_array_equal(road, roads[0])

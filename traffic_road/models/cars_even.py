@@ -65,8 +65,7 @@ def even_samples(scene, times, order, first_node, left=None, *, nodes, hold, rel
             chunk = min(stretch, target - done)
             if pace.due():
                 yield Breath(done * scene.headway / speed, leave, heights)
-            relaxation.relax(road, pending + chunk / 2)
-            cars.cross(road, done, chunk)
+            cars.cross(road, done, chunk, relaxation.ahead(road, pending + chunk / 2))
             done += chunk
             pending = chunk / 2
             if sink * done // 1 != sink * (done - chunk) // 1:
@@ -141,8 +140,8 @@ class _Cars:
             self.state[:, j] -= level * sum(e[j:])
         self.state[:, 1] -= D * sunk
 
-    def cross(self, road, done, headways):
-        """All cars cross `headways` blocks, the first of them being headway `done`."""
+    def cross(self, road, done, headways, band):
+        """All cars cross `headways` blocks, the first of them being headway `done`; band: of `Relaxation.ahead`."""
         slot, lane = self.where
         short = False
         if self.exponential:
@@ -150,4 +149,4 @@ class _Cars:
             self.law, short = passage_about(self.passage, *cars, headways * self.rows * slot.size)
         sweep = sweep_even(*self.kernel, short)
         least = 0.0 if self.lift_off else -np.inf
-        sweep(road, self.flat, self.contacts, self.layout, headways, done, self.coefficients, self.law, least)
+        sweep(road, self.flat, self.contacts, self.layout, headways, done, self.coefficients, self.law, least, *band)

@@ -30,6 +30,8 @@ from ..laws import BOUNDED, CONSTANT, EXPONENTIAL
 from ..schemes.passage import contact_height
 from .even_layout import COMPILE, WIDTH, aligned, copy, hand_over, row_of
 from .even_passages import DEEPEST, met, met_always, met_bounded, met_exponential
+from .even_relaxation import relax_panel
+from .even_surround import surround_edges
 from .stack import align_stack
 
 PAIRED = 4  # nodes that `_in_pairs` crosses at a time, and other loops where rows allow and it pays
@@ -133,11 +135,12 @@ def _make_sweep(width, hold, kind, unroll, parallel, always, short):
     size = np.uint64((FIELDS + hold) * width)
 
     @njit(parallel=parallel, **COMPILE)
-    def sweep(road, state, counts, layout, count, first, c, law, least):
+    def sweep(road, state, counts, layout, count, first, c, law, least, *band):
         """All cars cross `count` headways, the first of them being headway `first`. A single one is all done at once.
 
         road and state flat. counts (panels * width,): less one for each passage with contact. c: constant, T, -D, e_0.. of
         the recursion; law: `passage`. least: force that a wheel presses with at least, 0 or, without lift-off, -inf.
+        band: of `even_relaxation.relax_panel`, by which the road relaxes first if there are weights; threads alone have one.
         """
         _ = parallel, short, always  # read, since only what is read tells compiled loops on the disk apart
         tiles, rows = layout.tiles, layout.rows
@@ -155,6 +158,12 @@ def _make_sweep(width, hold, kind, unroll, parallel, always, short):
         room = (unroll + 1 + hold) * width if kind == EXPONENTIAL else 0
         if kind == EXPONENTIAL:
             saved, tallied = aligned(layout.panels * room), aligned(layout.panels * width).view(np.int64)
+        relaxes = False
+        if parallel:
+            depth, passes, twice, weights, scratch = band
+            relaxes = weights.size > 0
+            if relaxes:
+                surround_edges(road, depth, layout)
         deepest = min(DEEPEST, tiles)
         end_of_all = first + count
         piece = np.int64(unroll)  # no constant: `_carefully` would be compiled for each
@@ -164,6 +173,8 @@ def _make_sweep(width, hold, kind, unroll, parallel, always, short):
             if headways > 1 or wedge:
                 for panel in prange(layout.panels):
                     align_stack()
+                    if parallel and relaxes and part == 0:
+                        relax_panel(road, panel, layout, depth, passes, twice, weights, scratch[panel])
                     counted, kept = panel * width, panel * room
                     begin, end = (1, tiles) if wedge else (0, headways)
                     if headways == 1:

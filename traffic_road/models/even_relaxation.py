@@ -25,6 +25,17 @@ MOST = {True: 65, False: 95}  # by levels of a line it costs as much
 MOST_SHORT = 200  # a line that is too short for these
 
 
+@njit(**COMPILE)
+def relax_panel(road, panel, layout, depth, passes, twice, weights, scratch):
+    """A panel of a road whose edges are surrounded, as `_make_relax` says; scratch: numbers that one panel needs."""
+    surround_inside(road, panel, depth, layout)
+    start, count = row_of(panel, 0, layout), layout.tiles * layout.rows
+    if passes.size:
+        smooth_by_levels(road, start, count, layout.width, passes, twice, weights, scratch)
+    else:
+        smooth_in_place(road, start, count, layout.width, weights, scratch)
+
+
 def _make_relax(parallel):
     @njit(parallel=parallel, **COMPILE)
     def relax(road, layout, depth, passes, twice, weights, scratch):
@@ -39,12 +50,7 @@ def _make_relax(parallel):
         # panels are shared out as they are when cars cross them: they stay in a core's cache
         for thread in prange(threads):
             for panel in range(thread * layout.panels // threads, (thread + 1) * layout.panels // threads):
-                surround_inside(road, panel, depth, layout)
-                start, count = row_of(panel, 0, layout), layout.tiles * layout.rows
-                if passes.size:
-                    smooth_by_levels(road, start, count, layout.width, passes, twice, weights, scratch[thread])
-                else:
-                    smooth_in_place(road, start, count, layout.width, weights, scratch[thread])
+                relax_panel(road, panel, layout, depth, passes, twice, weights, scratch[thread])
 
     return relax
 
@@ -62,24 +68,39 @@ class Relaxation:
         numbers = (layout.tiles * layout.rows + 2 * layout.margin) * layout.width
         self.scratch = aligned(threads * numbers).reshape(threads, numbers)
         self.acts = acts(scene)
-        self.ways: dict = {}  # headways -> relax(road)
+        self.ways: dict = {}  # headways -> relax(road), or a band
+        none = np.empty((0, LOW_PASS + 1))
+        self.nothing = (0, none, none, np.empty(0), self.scratch) if self.parallel else ()
         self.ripples = None
         self.along = LineRelaxation(scene.road.diffusivity, scene.road.length)
 
     def relax(self, road, headways: float) -> None:
+        band = self.ahead(road, headways)
+        if band is not self.nothing:
+            _relax[True](road, self.layout, *band)
+
+    def ahead(self, road, headways: float) -> tuple:
+        """Relaxes the road; or, where each thread has one panel, gives the band by which they do so before they cross it: to
+        meet in between would take them as long as some thousand nodes."""
         if not self.acts or headways == 0:
-            return
+            return self.nothing
         if headways not in self.ways:
             self.ways[headways] = self._way(headways)
-        self.ways[headways](road)
+        way = self.ways[headways]
+        if isinstance(way, tuple):
+            return way
+        way(road)
+        return self.nothing
 
     def _way(self, headways):
         # a last interval may be shorter than those that the margin was made for
         way = _weights(self.scene, self.nodes, self.layout, headways)
         if way is not None and _wanted(way, self.layout) <= self.layout.margin:
             passes, weights = way
-            rest = self.layout, _depth(way, self.layout), passes, 2 * passes, weights, self.scratch
-            return lambda road: _relax[self.parallel](road, *rest)
+            band = _depth(way, self.layout), passes, 2 * passes, weights, self.scratch
+            if self.parallel and len(self.scratch) == self.layout.panels:
+                return band
+            return lambda road: _relax[self.parallel](road, self.layout, *band)
         halvings = _halvings(self.scene, self.nodes, self.layout, headways)
         if halvings and self.layout.margin >= MARGIN:
             if self.ripples is None:
