@@ -9,9 +9,9 @@ diffusion, where the steps that wheels roll down stay in the road and every grid
 for which that fails is raised by half a decade until it is reached, and counted.
 
 Measured: (a) is the true error of model="auto" within the tolerance, (b) is `error_estimate` at least the true error,
-and at most 10 times it, (c) is the run's time (of the processor, for the model alone, best of five) within 3 times that of
-the cheapest of all runs that meet the tolerance, found by search over linear (nodes), continuum (nodes, step) and cars
-(nodes, hold, relax_every).
+and at most 10 times it, (c) is the run's time (of the processor, for the model alone, best of five, or the one if quick)
+within 3 times that of the cheapest of all runs that meet the tolerance, found by search over linear (nodes), continuum
+(nodes, step) and cars (nodes, hold, relax_every).
 
 Run: python experiments/planning.py [--quick]        (about 2 minutes; 10 s)
 """

@@ -134,9 +134,8 @@ class Scene:
         return known
 
     def __getstate__(self):
-        return {
-            f.name: getattr(self, f.name) for f in fields(self)
-        }  # not the hash: another process has others of strings
+        # not the hash: another process has others of strings
+        return {f.name: getattr(self, f.name) for f in fields(self)}
 
     def _refuse_shared_positions(self):
         length = self.road.length

@@ -19,6 +19,7 @@ import netCDF4
 import numpy as np
 import pandas as pd
 import xarray as xr
+from xarray.indexes import PandasIndex
 
 from .errors import StoreError, TrafficRoadError, shown
 from .scales import HEIGHT, LENGTH, RATE, SINK_RATE, TIME, VELOCITY
@@ -120,7 +121,8 @@ def assemble(scene: Scene, model: str, numerics: dict, samples: list, outcome: d
 
 
 def dataset(scene: Scene, model: str, numerics: dict, columns: dict, outcome: dict) -> xr.Dataset:
-    """The Dataset of one run: `columns` are its variables by name, time first in each; `outcome` the remaining attributes."""
+    """The Dataset of one run: `columns` are its variables by name, time first in each, taken as they are and no copies;
+    `outcome`: the remaining attributes."""
     cars = "car_position" in columns
     on = ("time", "car" if cars else "x")
     dims = {"road_height": ("time", "x")}
@@ -133,7 +135,7 @@ def dataset(scene: Scene, model: str, numerics: dict, columns: dict, outcome: di
     indexes = {}
     for name, values in axes.items():
         index = pd.Index._simple_new(values, name)  # pd.Index would look at values that are floats or int32
-        indexes[name] = xr.indexes.PandasIndex(index, name, coord_dtype=values.dtype, fastpath=True)
+        indexes[name] = PandasIndex(index, name, coord_dtype=values.dtype, fastpath=True)
         variables |= indexes[name].create_variables()
         variables[name].attrs = describe(name)
     attributes = provenance(scene, f"Corrugation of a road, {model} model")

@@ -173,7 +173,8 @@ def finer(scene, numerics: dict, given: dict) -> dict:
 
 def fitted(times, numerics: dict) -> dict:
     """With the longest `step` that is taken where equal ones lead from one sample to the next, shorter ones from the start."""
-    longest = longest_taken(np.asarray(times, dtype=float), numerics["step"], BEGINNING[-1][0])
+    # a copy: compiled anew for every kind of array, read-only or strided
+    longest = longest_taken(np.array(times, dtype=float), numerics["step"], BEGINNING[-1][0])
     return numerics | {"step": longest} if longest < (1 - 1e-9) * numerics["step"] else numerics
 
 

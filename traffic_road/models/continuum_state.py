@@ -42,6 +42,7 @@ class Kinds(NamedTuple):
 
     @classmethod
     @lru_cache(maxsize=2)
+    @np.errstate(all="ignore")  # here and below: what overflows stays non-finite, without a warning
     def of(cls, fleet) -> Kinds:
         cars = [getattr(fleet, name) for name in cls._fields[:4]]
         if not any(isinstance(values, tuple) for values in cars):
@@ -78,18 +79,18 @@ class Start(NamedTuple):
     alpha: float
     delta: float
     finite: bool  # whether no number has overflowed
-    linear: list[np.ndarray]  # of `waves.linear_part`
+    linear: list[np.ndarray]  # `waves.linear_part`
 
 
 @lru_cache(maxsize=2)  # asked for by `numerics`, and again by the run that follows
-@np.errstate(all="ignore")  # here and below: what overflows stays non-finite, without a warning
+@np.errstate(all="ignore")
 def start(scene, nodes: int) -> Start:
     road, kinds = scene.road, Kinds.of(scene.fleet)
     spectrum = road.profile.spectrum(road.length, nodes)
     k = 2 * np.pi / road.length * np.arange(modes(nodes))
     alpha, delta = references(road, spectrum[: k.size], nodes)
     settled = scene.fleet.start == "settled"
-    state, possible, finite, *linear = waves.begun(spectrum, k, *kinds[:3], kinds.weight, alpha, delta, settled)
+    state, possible, finite, *linear = waves.beginning(spectrum, k, *kinds[:3], kinds.weight, alpha, delta, settled)
     if not possible:
         settled_waves(
             state[0], np.arange(k.size), road.length, *(value[:, None] for value in kinds[:3])
@@ -204,14 +205,13 @@ class Continuum:
         if not self.constant or not self.lift_off:
             return self.constant
         rest = self.alpha * self.kinds.load
-        lifted, moving = waves.moving(
-            self.state, self.square, rest
-        )  # most often the largest wave alone decides at once
+        # most often the largest wave alone decides at once
+        lifted, moving = waves.moving(self.state, self.square, rest)
         if lifted or not moving.size:
             return not lifted
-        if self.decay is None or self.decay[0].shape[0] != moving.size:
-            self.decay = eigenvectors(self.linear[0][moving])
-        return waves.stay_below(self.state, moving, rest, self.square, *self.decay, duration)
+        if self.decay is None or not np.array_equal(self.decay[0], moving):
+            self.decay = moving, *eigenvectors(self.linear[0][moving])
+        return waves.keep_contact(self.state, rest, self.square, *self.decay, duration)
 
     def remainder(self, state: np.ndarray) -> np.ndarray:
         """N of every wave, the weight <m> of the cars included in the mean; shape (modes,)."""

@@ -1,4 +1,5 @@
-"""Compiled loops over the waves of the continuum: their linear part, and what is sure of a run without steps."""
+"""Compiled loops over the waves of the continuum: how they begin, their linear part, what is sure of a run without steps, and
+the fields on the nodes; and the longest step that a run comes to."""
 
 from __future__ import annotations
 
@@ -15,13 +16,13 @@ EPS = float(np.finfo(float).eps)
 
 
 @njit(**COMPILE)
-def longest_taken(times, step, begun):
-    """The longest of the fewest equal steps, none above `step`, between samples at `times` (n,); the first `begun` of them are
-    parted further."""
+def longest_taken(times, step, parted):
+    """The longest of the fewest equal steps, none above `step`, between samples at `times` (n,), two at least; the first
+    `parted` of them are taken in parts."""
     longest = 0.0
     for i in range(times.size - 1):
         gap = times[i + 1] - times[i]
-        before = begun if i == 0 and gap > begun * step else 0.0
+        before = parted if i == 0 and gap > parted * step else 0.0
         longest = max(longest, gap / (before + max(1.0, math.ceil((gap / step - before) * (1 - 1e-12)))))
     return longest
 
@@ -55,7 +56,7 @@ def linear_part(k, speed, frequency, damping, weight, alpha, delta):
 
 
 @njit(**COMPILE)
-def begun(spectrum, k, speed, frequency, damping, weight, alpha, delta, settled):
+def beginning(spectrum, k, speed, frequency, damping, weight, alpha, delta, settled):
     """The state at the start, (size, modes), if it can be, if it is finite, and `linear_part`; settled: if cars are."""
     state = np.zeros((1 + 2 * speed.size, k.size), np.complex128)
     state[0] = spectrum[: k.size]
@@ -107,10 +108,10 @@ def moving(state, square, sink_rate):
 
 
 @njit(**COMPILE)
-def stay_below(state, moving, sink_rate, square, rate, shape, inverse, duration):
-    """Whether cars that are in contact, by these waves of `state` (1 + 2 kinds, modes), are sure to stay so for `duration`.
+def keep_contact(state, sink_rate, square, moving, rate, shape, inverse, duration):
+    """Whether cars are sure to stay in contact for `duration`, by those waves of `state` (1 + 2 kinds, modes) that move.
 
-    rate, shape, inverse: `schemes.exponential.eigenvectors` of these waves.
+    moving: their numbers; rate, shape, inverse: their `schemes.exponential.eigenvectors`.
     """
     size, kinds = state.shape[0], square.size
     kept, share = np.empty((size, moving.size), np.complex128), np.full(moving.size, 2.0)
