@@ -73,6 +73,16 @@ def test_what_is_saved_is_found(tmp_path):
     assert own()(str(tmp_path), "f", "other source").load(0) is None
 
 
+def test_code_of_older_sources_is_removed(tmp_path):
+    for key in range(3):
+        own()(str(tmp_path), "f", "source").save(key, "old")
+        own()(str(tmp_path), "f2", "source").save(key, "other")
+    own()(str(tmp_path), "f", "new source").save(0, "new")
+    own()(str(tmp_path), "f", "new source").save(1, "new")
+    assert len(list(tmp_path.glob("f.*.nbc"))) == 2 and len(list(tmp_path.glob("f2.*.nbc"))) == 3
+    assert own()(str(tmp_path), "f", "new source").load(0) == own()(str(tmp_path), "f", "new source").load(1) == "new"
+
+
 def test_numba_still_needs_this(tmp_path):
     # if this fails numba has mended it: traffic_road/compiled.py can go
     (tmp_path / "a").mkdir(), (tmp_path / "b").mkdir()

@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable
+from glob import escape
 from hashlib import sha256
 from pathlib import Path
 
@@ -31,7 +32,14 @@ def _save(self, key, data) -> None:
     """In the place of IndexDataCacheFile.save. What two processes lose at most is an entry of the index."""
     digest = sha256(self._dump((key, self._source_stamp))).digest()
     name = self._data_name(int.from_bytes(digest[:8]))
+    fresh = not self._load_index()
     self._save_data(name, data)
+    if fresh:  # no index leads to the code of older sources any more, and no number is used again
+        for path in Path(self._cache_path).glob(
+            escape(self._data_name_pattern.removesuffix("{number:d}.nbc")) + "*.nbc"
+        ):
+            if path.name != name:
+                path.unlink(missing_ok=True)
     self._save_index(self._load_index() | {key: name})
 
 
