@@ -56,14 +56,27 @@ def linear_part(k, speed, frequency, damping, weight, alpha, delta):
 
 
 @njit(**COMPILE)
+def highest_of(wave, first):
+    """The largest amplitude of these waves (modes,) from one on."""
+    highest = 0.0
+    for m in range(first, wave.size):
+        highest = max(highest, abs(wave[m]))
+    return highest
+
+
+@njit(**COMPILE)
 def beginning(spectrum, k, speed, frequency, damping, weight, alpha, delta, settled):
     """The state at the start, (size, modes), if it can be, if it is finite, and `linear_part`; settled: if cars are."""
     state = np.zeros((1 + 2 * speed.size, k.size), np.complex128)
-    state[0] = spectrum[: k.size]
+    for m in range(k.size):  # numba compiles slices, and arrays in formulas, for seconds
+        state[0, m] = spectrum[m]
     possible = not settled or settle(state, k, speed, frequency, damping, alpha * weight.sum())
     system, source = linear_part(k, speed, frequency, damping, weight, alpha, delta)
-    finite = math.isfinite(alpha + delta + np.abs(state).sum())
-    return state, possible, finite, system, source
+    total = alpha + delta
+    for i in range(state.shape[0]):
+        for m in range(k.size):
+            total += abs(state[i, m])
+    return state, possible, math.isfinite(total), system, source
 
 
 @njit(**COMPILE)
@@ -73,7 +86,7 @@ def settle(state, k, speed, frequency, damping, sink_rate):
     Wave by wave that of `schemes.oscillator.settled`, with Y = kappa^2/D h; waves that are rounding are left out.
     """
     road, kinds = state[0], speed.size
-    least = 1e-14 * np.abs(road).max()
+    least = 1e-14 * highest_of(road, 0)
     for i in range(kinds):
         for m in range(k.size):
             kappa = k[m] * speed[i] / frequency[i]
@@ -114,14 +127,17 @@ def keep_contact(state, sink_rate, square, moving, rate, shape, inverse, duratio
     moving: their numbers; rate, shape, inverse: their `schemes.exponential.eigenvectors`.
     """
     size, kinds = state.shape[0], square.size
-    kept, share = np.empty((size, moving.size), np.complex128), np.full(moving.size, 2.0)
+    kept, share, limit = np.empty((size, moving.size), np.complex128), np.empty(moving.size), np.empty(kinds)
+    for i in range(kinds):
+        limit[i] = 1 / square[i]
     for n in range(moving.size):
+        mean = moving[n] == 0  # about cars at rest on a road that sinks
+        share[n] = 1.0 if mean else 2.0
         for i in range(size):
-            kept[i, n] = state[i, moving[n]]
-        if moving[n] == 0:  # about cars at rest on a road that sinks
-            share[n], kept[0, n] = 1.0, 0.0
-            kept[1 + kinds :, n] += sink_rate
-    return stays_below(1 / square, rate, shape, inverse, kept, share, 1, duration)
+            kept[i, n] = state[i, moving[n]] + (sink_rate if mean and i > kinds else 0.0)
+        if mean:
+            kept[0, n] = 0.0
+    return stays_below(limit, rate, shape, inverse, kept, share, 1, duration)
 
 
 @njit(**COMPILE)
@@ -163,7 +179,7 @@ def left_by_rounding(wave, begin, system, time):
     begin with the profile's, relative to them, and the exponential of L t is off as if L were by a rounding of its norm,
     which acts on a car's state, too.
     """
-    highest = np.abs(begin[0, 1:]).max() if wave.size > 1 else 0.0
+    highest = highest_of(begin[0], 1)
     total = 0.0
     for m in range(1, wave.size):
         first, error = abs(begin[0, m]), abs(wave[m])
@@ -180,5 +196,7 @@ def left_by_rounding(wave, begin, system, time):
 @njit(**COMPILE)
 def left_on_few(heights, begin, system, time):
     """The same of road heights on few nodes, (nodes,)."""
-    series = on_waves(heights, begin.shape[1])
-    return left_by_rounding(series[0] + 1j * series[1], begin, system, time)
+    series, wave = on_waves(heights, begin.shape[1]), np.empty(begin.shape[1], np.complex128)
+    for m in range(wave.size):
+        wave[m] = complex(series[0, m], series[1, m])
+    return left_by_rounding(wave, begin, system, time)

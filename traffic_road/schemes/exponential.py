@@ -218,7 +218,6 @@ def stays_below(limit, rate, shape, inverse, u, share, first, duration):
                 part += inverse[s, j, i] * u[i, s]
             for row in range(limit.size):
                 term[s, row, j] = shape[s, first + row, j] * part
-    limit = limit * (1 - 1e-6)  # rounding
     for _ in range(MOST_LOOKS):
         below = within_reach = True
         for row in range(limit.size):
@@ -235,8 +234,9 @@ def stays_below(limit, rate, shape, inverse, u, share, first, duration):
                     parting += abs(some[j] * apart) * math.exp(max(apart.real, 0.0) * LOOK)
                     some[j] *= np.exp(rate[s, j] * LOOK)
                 reach += count * (abs(total) + LOOK * parting) * math.exp(max(rate[s, main].real, 0.0) * LOOK)
-            below &= largest < limit[row]
-            within_reach &= reach < limit[row]
+            sure = limit[row] * (1 - 1e-6)  # rounding
+            below &= largest < sure
+            within_reach &= reach < sure
         duration -= LOOK
         if below or (within_reach and duration <= 0):
             return True
