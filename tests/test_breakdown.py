@@ -10,7 +10,7 @@ from traffic_road.schemes.relaxation import RELAXATIONS, refuse_diffusion, symbo
 from traffic_road.schemes.ring import Ring, threshold
 from traffic_road.schemes.steppers import STEPPERS, refuse_interval
 
-HEADWAYS = 400  # of a run: 1 % beyond the least steep limit, forward Euler's at damping 0.3, a wave grows by e^2.5
+HEADWAYS = 800  # of a run: 1 % beyond the least steep limit, forward Euler's at damping 0.3, a wave grows by e^5
 GROWTH = 1e-9  # of a spectral radius over 1: rounding is below
 
 

@@ -320,6 +320,7 @@ SIMPLE = ring(10.0, profile=Sine(0.1, 3 * K))
         (ring(10.0, softness=Exponential(1, 500), profile=(10.0,)), {}, "too large"),
         (MIXED, {}, "1000 distinct kinds"),
         (RESONANT, {}, "damping.*start='rest'"),
+        (ring(10.0, fleet=Fleet(8, damping=0.1, frequency=1e200)), {}, "step = .*longer step"),
     ],
 )
 def test_bad_numerics_say_so_in_one_line(scene, given, names):

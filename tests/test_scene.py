@@ -2,6 +2,7 @@
 
 import json
 import os
+import pickle
 import re
 import sys
 from dataclasses import FrozenInstanceError, replace
@@ -191,6 +192,14 @@ def test_what_is_allowed():
     assert scene().headway == pytest.approx(LENGTH / 3)
     assert scene(fleet={"speed": (1, 2, 3)}).headway_time == pytest.approx(LENGTH / 6)
     assert not tr.Road(LENGTH, 0.1).profile.sample(LENGTH, 8).any()
+
+
+def test_the_hash_of_another_process_is_not_taken_over():
+    first = scene(fleet={"start": "rest"})  # strings have another hash in every process
+    object.__setattr__(first, "_hash", 1)
+    again = pickle.loads(pickle.dumps(first))
+    assert hash(first) == 1 and again == first and hash(again) == hash(scene(fleet={"start": "rest"})) != 1
+    assert hash(replace(first, duration=8.0)) != 1 and "_hash" not in first.to_dict()
 
 
 def test_frozen_equal_hashable():

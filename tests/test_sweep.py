@@ -404,7 +404,7 @@ def test_killed_and_interrupted_sweeps_go_on(folder, monkeypatch):
         return original(this, points, workers)
 
     monkeypatch.setattr("traffic_road.sweeps.local", spy)
-    ds = tr.sweep(scene, over, tolerance=1e-2, output="o.nc", workers=1)
+    ds = tr.sweep(scene, over, tolerance=1e-2, output="o.nc", workers=2)
     assert sorted(asked) == sorted(set(range(48)) - set(before)) and len(asked) < 43
     same(ds, serial(task(scene, over, model="auto")))
     assert sorted(os.listdir(folder)) == ["o.nc", "small.toml"]

@@ -1,5 +1,5 @@
 """Compiled loops over the waves of the continuum: how they begin, their linear part, what is sure of a run without steps, and
-the fields on the nodes; and the longest step that a run comes to."""
+the fields on the nodes."""
 
 from __future__ import annotations
 
@@ -13,18 +13,6 @@ from .continuum_kernels import on_nodes, on_waves
 
 COMPILE = {"cache": True, "error_model": "numpy"}
 EPS = float(np.finfo(float).eps)
-
-
-@njit(**COMPILE)
-def longest_taken(times, step, parted):
-    """The longest of the fewest equal steps, none above `step`, between samples at `times` (n,), two at least; the first
-    `parted` of them are taken in parts."""
-    longest = 0.0
-    for i in range(times.size - 1):
-        gap = times[i + 1] - times[i]
-        before = parted if i == 0 and gap > parted * step else 0.0
-        longest = max(longest, gap / (before + max(1.0, math.ceil((gap / step - before) * (1 - 1e-12)))))
-    return longest
 
 
 @njit(**COMPILE)
