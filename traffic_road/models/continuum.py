@@ -31,12 +31,12 @@ from time import perf_counter
 import numpy as np
 from numpy.fft import rfft  # less overhead a call than scipy.fft on the short transforms of one wave
 
-from ..compiled import njit
 from ..errors import SceneError, StabilityError
 from ..laws import finite
 from ..memory import refuse_beyond_memory
 from ..schemes.exponential import SAFE, step_limit
 from . import Breath, Pace, Sample
+from .continuum_kernels import longest_taken
 from .continuum_state import Continuum, Kinds, base_wave, constant, linear_throughout, modes, present, start
 
 KEYWORDS = ("nodes", "step")
@@ -174,20 +174,8 @@ def finer(scene, numerics: dict, given: dict) -> dict:
 def fitted(times, numerics: dict) -> dict:
     """With the longest `step` that is taken where equal ones lead from one sample to the next, shorter ones from the start."""
     # a copy: compiled anew for every kind of array, read-only or strided
-    longest = _longest_taken(np.array(times, dtype=float), numerics["step"], BEGINNING[-1][0])
+    longest = longest_taken(np.array(times, dtype=float), numerics["step"], BEGINNING[-1][0])
     return numerics | {"step": longest} if longest < (1 - 1e-9) * numerics["step"] else numerics
-
-
-@njit(cache=True, error_model="numpy")
-def _longest_taken(times, step, parted):
-    """The longest of the fewest equal steps, none above `step`, between samples at `times` (n,), two at least; the first
-    `parted` of them are taken in parts."""
-    longest = 0.0
-    for i in range(times.size - 1):
-        gap = times[i + 1] - times[i]
-        before = parted if i == 0 and gap > parted * step else 0.0
-        longest = max(longest, gap / (before + max(1.0, math.ceil((gap / step - before) * (1 - 1e-12)))))
-    return longest
 
 
 def stage(now: float, time: float, step: float, unit: float) -> tuple[float, int]:

@@ -306,6 +306,18 @@ def _product(matrix, known, total):
 
 
 @njit(**COMPILE)
+def longest_taken(times, step, parted):
+    """The longest of the fewest equal steps, none above `step`, between samples at `times` (n,), two at least; the first
+    `parted` of them are taken in parts."""
+    longest = 0.0
+    for i in range(times.size - 1):
+        gap = times[i + 1] - times[i]
+        before = parted if i == 0 and gap > parted * step else 0.0
+        longest = max(longest, gap / (before + max(1.0, math.ceil((gap / step - before) * (1 - 1e-12)))))
+    return longest
+
+
+@njit(**COMPILE)
 def advance(waves, half, full, steps, curvature, square, weight, laws, references, switches, cosine, sine):
     """`steps` steps of `schemes.exponential.krogstad` on the complex `waves` (1 + 2 kinds, modes), in place.
 
