@@ -71,7 +71,7 @@ def test_clip_by_roots_is_quadrature(fleet, laws):
             waves *= 0.5 ** np.arange(17)
             waves[0] *= 0.3 / size  # of the road: alpha(H) must be resolved by the fine grid
             waves[:, 0] = waves[:, 0].real
-            expected = by_quadrature(scene, waves[: 1 + model.count], 17, model.frozen())
+            expected = by_quadrature(scene, waves[: 1 + model.count], 17, model.frozen)
             found = model.remainder(waves)
             assert np.abs(found - expected).max() < 1e-12 * np.abs(expected).max()
             flights.append(np.abs(expected[1:]).max() > 0)
@@ -85,7 +85,7 @@ def test_take_off_and_landing_within_one_cell(excess, shift):
     model = Continuum(scene, 8)  # cells of a 32nd of the ring; cars fly for sqrt(8 excess) of 2 pi
     waves = np.zeros((3, 4), dtype=complex)
     waves[1, 1] = (1 + excess) / 2 * np.exp(1j * shift)
-    expected = by_quadrature(scene, waves[:2], 4, model.frozen())
+    expected = by_quadrature(scene, waves[:2], 4, model.frozen)
     assert np.abs(model.remainder(waves) - expected).max() < 1e-12 * model.alpha
 
 

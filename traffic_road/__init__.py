@@ -36,12 +36,15 @@ __all__ = sorted([*_PUBLIC, "open", "save", "theory"])
 
 def __getattr__(name):
     if name == "theory":
-        return import_module(".theory", __name__)
-    if name in ("open", "save"):
-        return getattr(import_module(".store", __name__), {"open": "open_dataset", "save": "save"}[name])
-    if name in _PUBLIC:
-        return getattr(import_module(f".{_PUBLIC[name]}", __name__), name)
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+        found = import_module(".theory", __name__)
+    elif name in ("open", "save"):
+        found = getattr(import_module(".store", __name__), {"open": "open_dataset", "save": "save"}[name])
+    elif name in _PUBLIC:
+        found = getattr(import_module(f".{_PUBLIC[name]}", __name__), name)
+    else:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    globals()[name] = found  # not asked for again
+    return found
 
 
 def __dir__():

@@ -22,7 +22,8 @@ from .errors import SceneError
 from .laws import Constant
 from .models import Sample, model
 from .models.cars_state import even_start, sink_rate
-from .models.continuum_state import grown_from_rounding, left_by_rounding, linear_throughout
+from .models.continuum_state import SHORT, grown_from_rounding, left_by_rounding, linear_throughout
+from .models.continuum_waves import apart
 from .scene import Fleet, Road
 from .schemes.exponential import eigenvectors
 from .schemes.oscillator import settled_waves
@@ -257,9 +258,11 @@ def _of_ripple(scene, numerics, other, last) -> float:
 
 def _distance(height: np.ndarray, other: np.ndarray) -> float:
     """Root mean square difference of two roads of the same ring on any two grids, mean removed."""
+    if height.size < other.size:
+        height, other = other, height
+    if height.size <= SHORT:
+        return apart(height, other)
     a, b = (np.fft.rfft(h)[1:] * (np.sqrt(2) / h.size) for h in (height, other))
-    if a.size < b.size:
-        a, b = b, a
     a[: b.size] -= b
     return float(np.linalg.norm(a))
 

@@ -14,7 +14,7 @@ the clip, the system of each wave is linear and small; `schemes.exponential` sol
         - alpha(H) < m max(0, omega^2 Y - 1) >,
 
 truncated. N is formed on a grid four times as fine. On few nodes the clip is exact, from the places where cars take off
-and land (`continuum_kernels`); on many it is taken on that grid, an error of order 2 in its spacing. N is constant where
+and land (`continuum_clip`); on many it is taken on that grid, an error of order 2 in its spacing. N is constant where
 the laws are and no car is airborne: where that is certain for a whole sample interval, one matrix exponential leads over
 it, and there are no steps. Else the error of a step is of order 4, or about 2 with the clip on many nodes.
 alpha_ref is the softness at the mean height. Delta_ref is the largest Delta on the road, because a remainder that takes
@@ -37,7 +37,7 @@ from ..memory import refuse_beyond_memory
 from ..schemes.exponential import SAFE, step_limit
 from . import Breath, Pace, Sample
 from .continuum_kernels import longest_taken
-from .continuum_state import Continuum, Kinds, base_wave, constant, linear_throughout, modes, present, start
+from .continuum_state import Continuum, Kinds, constant, linear_throughout, modes, start
 
 KEYWORDS = ("nodes", "step")
 RESOLVED = 0.625  # of `resolving`: a grid with room for that wave, and a quarter more
@@ -98,7 +98,7 @@ def unstable_numerics(scene, given: dict) -> dict:
     size = 2 * len(kinds.speed) + 4  # four complex matrices a wave at most
     refuse_beyond_memory(4 * nodes * size**2, f"nodes = {nodes}", "use fewer nodes or a shorter ring")
     begin = start(scene, nodes)
-    if nodes % 2 == 0 and begin.spectrum[-1] and present(begin.spectrum)[-1]:  # its motion cannot be told
+    if nodes % 2 == 0 and begin.highest == nodes // 2:  # its motion cannot be told
         raise SceneError(f"nodes = {nodes}: the profile has {nodes // 2} waves on the ring; use nodes >= {nodes + 1}")
     if not begin.finite:
         raise SceneError(
@@ -155,11 +155,9 @@ def coarser(scene, numerics: dict) -> dict | None:
         return None
     long = step > LONG_STEP * default_step(scene)
     fewer, most = (MANY, MANY) if long else (FEWER, MOST)
-    spectrum = start(scene, numerics["nodes"]).spectrum
-    (waves,) = present(spectrum).nonzero()
-    nodes = max(int(fewer * numerics["nodes"]), 2 * int(waves.max(initial=0)) + 1)
-    base = base_wave(spectrum)
-    blind = (modes(nodes) - 1) // base == (modes(numerics["nodes"]) - 1) // base
+    begin = start(scene, numerics["nodes"])
+    nodes = max(int(fewer * numerics["nodes"]), 2 * begin.highest + 1)
+    blind = (modes(nodes) - 1) // begin.base == (modes(numerics["nodes"]) - 1) // begin.base
     if blind or numerics["nodes"] < RESOLVED * resolving(scene) or nodes > most * numerics["nodes"]:
         return None
     return {"nodes": nodes, "step": step / 2 if long else 2 * step}

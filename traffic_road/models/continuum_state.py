@@ -28,7 +28,7 @@ class Kinds(NamedTuple):
     """The distinct kinds of car and their shares of the fleet, each (kinds,).
 
     weight: share times mass, so that a sum over kinds is the mean force over the cars; square: omega^2; load: the sum of
-    the weights.
+    the weights; quickest: wavenumber omega/u of the shortest wave that any of them answers to.
     """
 
     speed: np.ndarray
@@ -39,6 +39,7 @@ class Kinds(NamedTuple):
     weight: np.ndarray
     square: np.ndarray
     load: float
+    quickest: float
 
     @classmethod
     @lru_cache(maxsize=2)
@@ -52,12 +53,8 @@ class Kinds(NamedTuple):
                 np.column_stack([fleet.per_car(name) for name in cls._fields[:4]]), axis=0, return_counts=True
             )
             cars, share = np.ascontiguousarray(kinds.T), count / fleet.count
-        return cls(*cars, share, share * cars[3], cars[1] ** 2, float(share @ cars[3]))
-
-    @property
-    def quickest(self) -> float:
-        """Wavenumber omega/u of the shortest wave that any of them answers to."""
-        return float(np.max(self.frequency / self.speed))
+        quickest = float(np.max(cars[1] / cars[0]))
+        return cls(*cars, share, share * cars[3], cars[1] ** 2, float(share @ cars[3]), quickest)
 
 
 def modes(nodes: int) -> int:
@@ -74,11 +71,12 @@ class Start(NamedTuple):
 
     kinds: Kinds
     k: np.ndarray  # wavenumbers, (modes,)
-    spectrum: np.ndarray  # of the profile on the grid, with the wave of two nodes
     state: np.ndarray  # H, then Y of each kind, then P of each kind, shape (1 + 2 kinds, modes)
     alpha: float
     delta: float
     finite: bool  # whether no number has overflowed
+    highest: int  # wave of the profile
+    base: int  # of what number of waves on the ring all that the profile has are multiples
     linear: list[np.ndarray]  # `waves.linear_part`
 
 
@@ -90,23 +88,14 @@ def start(scene, nodes: int) -> Start:
     k = 2 * np.pi / road.length * np.arange(modes(nodes))
     alpha, delta = references(road, spectrum[: k.size], nodes)
     settled = scene.fleet.start == "settled"
-    state, possible, finite, *linear = waves.beginning(spectrum, k, *kinds[:3], kinds.weight, alpha, delta, settled)
+    state, possible, finite, highest, base, *linear = waves.beginning(
+        spectrum, k, *kinds[:3], kinds.weight, alpha, delta, settled
+    )
     if not possible:
         settled_waves(
             state[0], np.arange(k.size), road.length, *(value[:, None] for value in kinds[:3])
         )  # says why not
-    return Start(kinds, k, spectrum, state, alpha, delta, finite, linear)
-
-
-def present(wave: np.ndarray) -> np.ndarray:
-    """Which of the waves (modes,) are more than rounding."""
-    size = np.abs(wave)
-    return size > 1e-14 * size.max()
-
-
-def base_wave(spectrum: np.ndarray) -> int:
-    """Of what number of waves on the ring all that the profile has are multiples; 1 for a flat one."""
-    return max(1, int(np.gcd.reduce(present(spectrum).nonzero()[0])))
+    return Start(kinds, k, state, alpha, delta, finite, highest, base, linear)
 
 
 def references(road, wave, nodes: int) -> tuple[float, float]:
@@ -139,31 +128,57 @@ def grown_from_rounding(scene, road_height) -> float:
 
     It is of nothing else, however the run has bounced or hardened, and all that is left where the profile's waves decay.
     """
-    wave = np.abs(rfft(road_height, norm="forward")[: modes(road_height.size)])
-    periods = base_wave(start(scene, road_height.size).spectrum)
-    return float(np.sqrt(2 * np.sum(wave[np.arange(wave.size) % periods != 0] ** 2)))
+    nodes = road_height.size
+    base = start(scene, nodes).base
+    if nodes <= SHORT:
+        return waves.grown_from(road_height, modes(nodes), base)
+    wave = np.abs(rfft(road_height, norm="forward")[: modes(nodes)])
+    return float(np.sqrt(2 * np.sum(wave[np.arange(wave.size) % base != 0] ** 2)))
+
+
+_table = lru_cache(maxsize=4)(kernels.table)  # of a grid, whatever the scene
 
 
 class Continuum:
     """The state of cars and road, (1 + 2 kinds, modes), and how it moves on."""
 
     def __init__(self, scene, nodes: int):
-        self.kinds, self.k, _, state, self.alpha, self.delta, _, self.linear = start(scene, nodes)
+        begin = start(scene, nodes)
+        self.kinds, self.k, self.alpha, self.delta, self.linear = (
+            begin.kinds,
+            begin.k,
+            begin.alpha,
+            begin.delta,
+            begin.linear,
+        )
         kinds, self.road = self.kinds, scene.road
         self.constant = constant(scene.road)
         self.lift_off = scene.lift_off
         self.nodes, self.fine = nodes, OVERSAMPLING * nodes
         self.count = len(kinds.speed)
         self.square, self.weight = kinds.square, kinds.weight
-        self.state, self.step = state.copy(), 0.0
+        self.state, self.step = begin.state.copy(), 0.0
+        self.frozen = np.array([self.alpha, self.delta])  # for compiled loops
         self.built = 0.0  # the step for which the matrices were made, before they were doubled to `step`
         self.few = nodes <= (FEW_NODES if self.constant else FEW_NODES_VARYING)
-        self.decay = self.table = self.half = None  # made when needed
+        self.decay = self.half = None  # made when needed
 
     @cached_property
     def laws(self) -> np.ndarray:
         """Of softness and of diffusivity, for compiled loops: kind, value and shape, one after the other."""
         return np.array([*self.road.softness.kernel, *self.road.diffusivity.kernel], dtype=float)
+
+    @cached_property
+    def terms(self) -> tuple:
+        """What the compiled remainder needs to know, beside the state."""
+        rows = self.k.size if self.constant else self.fine // 2
+        switches = not self.constant, self.lift_off
+        return -(self.k**2), self.square, self.weight, self.laws, self.frozen, switches, *_table(rows, self.fine)
+
+    def refer(self, alpha: float, delta: float) -> None:
+        """Take these for the reference values."""
+        self.alpha, self.delta = self.frozen[:] = alpha, delta
+        self.linear = waves.linear_part(self.k, *self.kinds[:3], self.weight, alpha, delta)
 
     def build(self, step: float) -> None:
         """Solve the linear part, of every wave, over `step` and half of it."""
@@ -191,8 +206,7 @@ class Continuum:
     def take_up(self, left: dict) -> None:
         """Be as `leave` left it."""
         self.state = left["state"].copy()
-        self.alpha, self.delta = left["alpha"], left["delta"]
-        self.linear = waves.linear_part(self.k, *self.kinds[:3], self.weight, self.alpha, self.delta)
+        self.refer(left["alpha"], left["delta"])
         if left["leapt"]:
             self.step, self.half, self.full = left["step"], None, exact(*self.linear, left["step"])
         else:
@@ -216,11 +230,11 @@ class Continuum:
     def remainder(self, state: np.ndarray) -> np.ndarray:
         """N of every wave, the weight <m> of the cars included in the mean; shape (modes,)."""
         if self.few:
-            *terms, cosine, sine = self.terms()
+            *terms, cosine, sine = self.terms
             work = kernels.workspace(self.k.size, self.count, cosine, not self.constant)
-            series = np.empty((2, self.k.size))
+            series = np.empty((2, kernels.padded(self.k.size)))
             kernels.remainder(kernels.parts(state), *terms, cosine, sine, work, series)
-            return series[0] + 1j * series[1]
+            return (series[0] + 1j * series[1])[: self.k.size]
         out = self.at_rest()
         # |Y| <= the sum of its waves' amplitudes: where that says contact, nothing is left to clip
         clip = self.lift_off and not np.all(self.square * 2 * np.abs(state[1 : 1 + self.count]).sum(axis=1) <= 1)
@@ -229,7 +243,7 @@ class Continuum:
             height, *Y, bend = irfft(series, n=self.fine, norm="forward")
             over = self.square[:, None] * Y - 1
             rate, excess = np.empty_like(height), np.empty_like(over)
-            kernels.at_points(height, bend, over, self.weight, self.laws, self.frozen(), rate, excess)
+            kernels.at_points(height, bend, over, self.weight, self.laws, self.frozen, rate, excess)
             if clip:
                 rate -= np.maximum(0.0, excess).sum(axis=0)
             out += rfft(rate, norm="forward")[: self.k.size]
@@ -241,17 +255,6 @@ class Continuum:
         out[0] = -self.alpha * self.kinds.load
         return out
 
-    def frozen(self) -> np.ndarray:
-        """The reference values, for compiled loops."""
-        return np.array([self.alpha, self.delta])
-
-    def terms(self) -> tuple:
-        """What the compiled remainder needs to know, beside the state."""
-        if self.table is None:
-            self.table = kernels.table(self.k.size if self.constant else self.fine // 2, self.fine)
-        switches = not self.constant, self.lift_off
-        return -(self.k**2), self.square, self.weight, self.laws, self.frozen(), switches, *self.table
-
     def renew(self, step: float) -> None:
         """Rebuild the matrices for a new step, or where a reference value has drifted."""
         alpha, delta = references(self.road, self.state[0], self.nodes)
@@ -261,8 +264,7 @@ class Continuum:
         )
         drifted = drifted and max(alpha, delta) < TOO_LARGE
         if drifted:
-            self.alpha, self.delta = alpha, delta
-            self.linear = waves.linear_part(self.k, *self.kinds[:3], self.weight, self.alpha, self.delta)
+            self.refer(alpha, delta)
         if drifted or self.half is None or step not in (self.step, 2 * self.step):
             self.build(step)
         elif step != self.step:
@@ -279,7 +281,7 @@ class Continuum:
         """Take `steps` steps of length `step`; a state that overflows becomes and stays NaN."""
         if self.few and self.constant:
             self.renew(step)
-            kernels.advance(self.state, self.half, self.full, steps, *self.terms())
+            kernels.advance(self.state, self.half, self.full, steps, *self.terms)
             return
         for _ in range(steps):
             if not np.isfinite(self.state[0, 0]):
@@ -287,7 +289,7 @@ class Continuum:
                 return
             self.renew(step)
             if self.few:
-                kernels.advance(self.state, self.half, self.full, 1, *self.terms())
+                kernels.advance(self.state, self.half, self.full, 1, *self.terms)
             else:
                 self.state = krogstad(self.state, self.remainder, self.half, self.full)
 

@@ -54,7 +54,10 @@ def highest_of(wave, first):
 
 @njit(**COMPILE)
 def beginning(spectrum, k, speed, frequency, damping, weight, alpha, delta, settled):
-    """The state at the start, (size, modes), if it can be, if it is finite, and `linear_part`; settled: if cars are."""
+    """The state at the start, (size, modes), if it can be, if it is finite, what waves there are, and `linear_part`.
+
+    settled: if cars are. What waves: `profile_of`.
+    """
     state = np.zeros((1 + 2 * speed.size, k.size), np.complex128)
     for m in range(k.size):  # numba compiles slices, and arrays in formulas, for seconds
         state[0, m] = spectrum[m]
@@ -64,7 +67,17 @@ def beginning(spectrum, k, speed, frequency, damping, weight, alpha, delta, sett
     for i in range(state.shape[0]):
         for m in range(k.size):
             total += abs(state[i, m])
-    return state, possible, math.isfinite(total), system, source
+    return state, possible, math.isfinite(total), *profile_of(spectrum), system, source
+
+
+@njit(**COMPILE)
+def profile_of(spectrum):
+    """The highest wave of a profile that is more than rounding, and of what number all are multiples, 1 for a flat one."""
+    least, highest, base = 1e-14 * highest_of(spectrum, 0), 0, 0
+    for m in range(spectrum.size):
+        if abs(spectrum[m]) > least:
+            highest, base = m, math.gcd(base, m)
+    return highest, max(1, base)
 
 
 @njit(**COMPILE)
@@ -178,6 +191,29 @@ def left_by_rounding(wave, begin, system, time):
                 state += abs(begin[i, m]) ** 2
             error *= min(1.0, EPS * (highest + time * norm * math.sqrt(state)) / first)
         total += error**2
+    return math.sqrt(2 * total)
+
+
+@njit(**COMPILE)
+def grown_from(heights, modes, base):
+    """Root mean square of the waves of a road on few nodes whose numbers are no multiples of `base`."""
+    series, total = on_waves(heights, modes), 0.0
+    for m in range(modes):
+        if m % base != 0:
+            total += series[0, m] ** 2 + series[1, m] ** 2
+    return math.sqrt(2 * total)
+
+
+@njit(**COMPILE)
+def apart(heights, other):
+    """Root mean square difference of two roads of one ring on few nodes each, mean removed; `heights` has as many or more."""
+    series, less = on_waves(heights, heights.size // 2 + 1), on_waves(other, other.size // 2 + 1)
+    total = 0.0
+    for m in range(1, series.shape[1]):
+        a, b = series[0, m], series[1, m]
+        if m < less.shape[1]:
+            a, b = a - less[0, m], b - less[1, m]
+        total += a**2 + b**2
     return math.sqrt(2 * total)
 
 

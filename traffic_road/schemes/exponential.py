@@ -72,8 +72,9 @@ def _solved(system, source, step, columns):
     by Horner's rule. All systems side by side, real and imaginary parts apart.
     """
     systems, size = system.shape[:2]
+    wide = (systems + 3) // 4 * 4  # so that loops over vectors leave no rest
     halvings = np.zeros(systems, np.int64)
-    real, imag = np.empty((size, size, systems)), np.empty((size, size, systems))
+    real, imag, scale = np.zeros((size, size, wide)), np.zeros((size, size, wide)), np.zeros(wide)
     for s in range(systems):
         norm = 0.0
         for i in range(size):
@@ -85,12 +86,12 @@ def _solved(system, source, step, columns):
             halvings[s] = halvings[s - 1]
         if 0.0 < norm < 1e300:
             halvings[s] = max(halvings[s], math.ceil(math.log2(norm)) + HALVED)
-        scale = step * 0.5 ** halvings[s]
+        scale[s] = step * 0.5 ** halvings[s]
         for i in range(size):
             for j in range(size):
-                real[i, j, s], imag[i, j, s] = scale * system[s, i, j].real, scale * system[s, i, j].imag
-    result = np.empty((2, size, columns, systems))
-    now, new = np.empty((2, 2, size, systems))
+                real[i, j, s], imag[i, j, s] = scale[s] * system[s, i, j].real, scale[s] * system[s, i, j].imag
+    result = np.zeros((2, size, columns, wide))
+    now, new = np.zeros((2, 2, size, wide))
     for c in range(columns):
         q = max(0, c - size + 1)
         now[:] = 0.0
@@ -101,12 +102,13 @@ def _solved(system, source, step, columns):
                 if c < size:
                     to[:] = share if i == c else 0.0
                 else:
-                    for s in range(systems):
-                        to[s] = share * source[i] * step * 0.5 ** halvings[s]
+                    by = share * source[i]
+                    for s in range(uint64(wide)):
+                        to[s] = by * scale[s]
                 too[:] = 0.0
                 for k in range(size):
                     a, b, x, y = real[i, k], imag[i, k], now[0, k], now[1, k]
-                    for s in range(uint64(systems)):
+                    for s in range(uint64(wide)):
                         to[s] += a[s] * x[s] - b[s] * y[s]
                         too[s] += a[s] * y[s] + b[s] * x[s]
             now, new = new, now
@@ -122,9 +124,9 @@ def _solved(system, source, step, columns):
         for i in range(size):
             for j in range(columns):
                 for c in range(2):
-                    for s in range(uint64(first), uint64(systems)):
+                    for s in range(uint64(first), uint64(wide)):
                         result[c, i, j, s] = twice[c, i, j, s]
-    return _joined(result)
+    return _joined(result, systems)
 
 
 @njit(cache=True, error_model="numpy")
@@ -153,9 +155,9 @@ def _double(half, full, first):
 
 
 @njit(cache=True, error_model="numpy")
-def _joined(parts):
-    """Complex (rows, columns, systems) of their real and imaginary parts (2, rows, columns, systems)."""
-    joined = np.empty(parts.shape[1:], np.complex128)
+def _joined(parts, systems):
+    """Complex (rows, columns, systems) of their real and imaginary parts (2, rows, columns, systems or more)."""
+    joined = np.empty((parts.shape[1], parts.shape[2], systems), np.complex128)
     for i in range(joined.shape[0]):
         for j in range(joined.shape[1]):
             for s in range(joined.shape[2]):
@@ -173,7 +175,7 @@ def doubled(half):
                 parts[0, i, j, s], parts[1, i, j, s] = half[i, j, s].real, half[i, j, s].imag
     full = np.empty_like(parts)
     _double(parts, full, 0)
-    return _joined(full)
+    return _joined(full, half.shape[2])
 
 
 def eigenvectors(system: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
