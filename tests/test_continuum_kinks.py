@@ -117,7 +117,7 @@ def stepped(scene, nodes, step):
         model.advance(step, 1)
         Y = np.fft.irfft(model.state[1 : 1 + model.count], n=64, norm="forward")
         most = max(most, (model.square[:, None] * Y).max())
-    return model.fields()[0], most
+    return model.fields(model.now())[0, 0], most
 
 
 @pytest.mark.parametrize("fleet", [ONE_KIND, TWO_KINDS], ids=["one kind", "two kinds"])

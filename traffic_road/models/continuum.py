@@ -37,7 +37,7 @@ from ..memory import refuse_beyond_memory
 from ..schemes.exponential import SAFE, step_limit
 from . import Breath, Pace, Sample
 from .continuum_kernels import longest_taken
-from .continuum_state import Continuum, Kinds, constant, linear_throughout, modes, start
+from .continuum_state import EPS, Continuum, Kinds, constant, linear_throughout, modes, start
 
 KEYWORDS = ("nodes", "step")
 RESOLVED = 0.625  # of `resolving`: a grid with room for that wave, and a quarter more
@@ -54,6 +54,7 @@ MOST_STEPS = 1e10
 MOST_WAVES = 64  # that are looked at for the longest step
 FIRST_BATCH = 4096  # nodes' steps taken at a time, at first
 LONGEST_BATCH = 0.05  # seconds within which that is doubled
+MOST_KEPT = 1 << 16  # numbers of the states that are kept for samples to come
 
 
 def numerics(scene, given: dict) -> dict:
@@ -202,14 +203,14 @@ def samples(scene, times, numerics: dict, state: dict | None = None):
     are counted, but taken all in one where that is exact. An overflowed state is yielded as it is. Between samples a
     Breath, see `models`; `state` is that of one.
     """
-    continuum = Continuum(scene, numerics["nodes"])
+    times, continuum = np.asarray(times, dtype=float), Continuum(scene, numerics["nodes"])
     always_linear = linear_throughout(scene, numerics["nodes"], float(times[-1]))
 
     def leave():
         return {"taken": taken, "until": until, "updates": updates, "left": left, "length": length} | continuum.leave()
 
     def heights():
-        return continuum.fields()[0]
+        return continuum.fields(continuum.now())[0, 0]
 
     unit = numerics.get("unit", numerics["step"])
     taken = updates = left = 0  # left: of the equal steps that lead to the time `until`
@@ -218,8 +219,11 @@ def samples(scene, times, numerics: dict, state: dict | None = None):
         taken, until, updates, left, length = (state[k] for k in ("taken", "until", "updates", "left", "length"))
         continuum.take_up(state)
     pace, batch = Pace(), max(1, FIRST_BATCH // numerics["nodes"])
-    for time in map(float, times[taken:]):
-        now = until - left * length
+    while taken < len(times):
+        time, now, before, record = float(times[taken]), until - left * length, updates, None
+        many = 1  # samples as far apart, by as many steps: taken together
+        if not left and now >= (1 - 1e-9) * BEGINNING[-1][0] * unit and taken + 1 < len(times):
+            many = _alike(times[taken - 1 :], max(1, MOST_KEPT // continuum.state.size))
         # not asked again for the whole run
         if not left and (always_linear or (0 < time - now < times[-1] and continuum.stays_linear(time - now))):
             while until < time:
@@ -227,23 +231,35 @@ def samples(scene, times, numerics: dict, state: dict | None = None):
                 updates += steps * numerics["nodes"]
             if time > now:
                 length = continuum.as_before(time - now, time)
-                continuum.leap(length)
+                record = continuum.leap(length, many if always_linear else 1)
         while left or until < time:
             if not left:
-                now = until
-                until, left = stage(now, time, numerics["step"], unit)
+                begun = until
+                until, left = stage(begun, time, numerics["step"], unit)
                 updates += left * numerics["nodes"]
-                length = continuum.as_before((until - now) / left, time / left)
-            begin, some = perf_counter(), min(batch, left)
-            continuum.advance(length, some)
+                length = continuum.as_before((until - begun) / left, time / left)
+            some = min(batch, left)
+            together = min(many, batch // some) if continuum.steady and some == left else 1
+            begin = perf_counter()
+            record = continuum.advance(length, some, together)
             left -= some
-            batch *= 2 if some == batch and perf_counter() - begin < LONGEST_BATCH else 1
+            batch *= 2 if 2 * some * together > batch and perf_counter() - begin < LONGEST_BATCH else 1
             if left and pace.due():
                 yield Breath(until - left * length, leave, heights)
-        yield Sample(time, *continuum.fields(), None, updates)
-        taken += 1
+        each = updates - before
+        for height, car, force in zip(*continuum.fields(continuum.now() if record is None else record), strict=True):
+            until, updates = float(times[taken]), before + each
+            yield Sample(until, height, car, force, None, updates)
+            taken, before = taken + 1, updates
         if taken < len(times) and pace.due():
             yield Breath(until, leave, heights)
+
+
+def _alike(times, most: int) -> int:
+    """How many of the intervals between `times`, `most` or less, are as long as the first, but for rounding."""
+    gaps = np.diff(times[: most + 1])
+    alike = np.abs(gaps - gaps[0]) <= 4 * EPS * times[1 : most + 1]
+    return alike.size if alike.all() else int(alike.argmin())
 
 
 @lru_cache(maxsize=4)

@@ -140,12 +140,22 @@ def parts(waves):
 
 
 @njit(**COMPILE)
-def on_nodes(waves, nodes):
-    """Values (rows, nodes) of complex waves (rows, modes)."""
-    series, values = parts(waves), np.empty((waves.shape[0], nodes))
-    cosine, sine = table(waves.shape[1], nodes)
+def _joined(series, waves):
+    """The other way round, into the rows that `waves` has."""
     for i in range(waves.shape[0]):
-        _synthesise(series[i], waves.shape[1], cosine, sine, values[i])
+        for m in range(waves.shape[1]):
+            waves[i, m] = complex(series[i, 0, m], series[i, 1, m])
+
+
+@njit(**COMPILE)
+def on_nodes(waves, nodes):
+    """Values (times, rows, nodes) of complex waves (times, rows, modes)."""
+    values = np.empty((waves.shape[0], waves.shape[1], nodes))
+    cosine, sine = table(waves.shape[2], nodes)
+    for n in range(waves.shape[0]):
+        series = parts(waves[n])
+        for i in range(waves.shape[1]):
+            _synthesise(series[i], waves.shape[2], cosine, sine, values[n, i])
     return values
 
 
@@ -202,10 +212,21 @@ def longest_taken(times, step, parted):
 
 
 @njit(**COMPILE)
-def advance(waves, half, full, steps, curvature, square, weight, laws, references, switches, cosine, sine):
-    """`steps` steps of `schemes.exponential.krogstad` on the complex `waves` (1 + 2 kinds, modes), in place.
+def _lifts(state, square, modes):
+    """Whether a wave lifts cars off the road all by itself, as `continuum_waves.moving` says it, or has overflowed."""
+    for i in range(square.size):
+        for m in range(modes):
+            if not square[i] * abs(complex(state[1 + i, 0, m], state[1 + i, 1, m])) < 1.0:
+                return True
+    return False
 
-    They become NaN where they overflow.
+
+@njit(**COMPILE)
+def advance(waves, half, full, steps, record, curvature, square, weight, laws, references, switches, cosine, sine):
+    """`steps` steps of `schemes.exponential.krogstad` on the complex `waves` (1 + 2 kinds, modes), in place, again and again.
+
+    After each time the first rows of the state go into record (times, rows, modes). Returns how many times: fewer than are
+    asked for where cars may stay in contact from there, so that no steps are needed. They become NaN where they overflow.
     """
     size, modes = waves.shape
     powers, width = POLYNOMIAL.shape[1], padded(modes)
@@ -219,18 +240,21 @@ def advance(waves, half, full, steps, curvature, square, weight, laws, reference
         _copy(middle[i], parts(half[i]))
         _copy(end[i], parts(full[i]))
     looked_at = 0 if switches[0] else 1, 1 + weight.size  # rows of a stage that its remainder depends on
-    for _ in range(steps):
-        if not math.isfinite(stage[0, 0, 0]):
-            waves[:] = np.nan
-            return
-        _copy(known, stage)
-        for s in range(4):
-            remainder(stage, curvature, square, weight, laws, references, switches, cosine, sine, work, rates[s])
-            used = (1, 2, 2, 3)[s]
-            _polynomial(s, flat_rates, polynomial[:used])
-            matrix, rows = middle if s < 2 else end, looked_at if s < 3 else (0, size)
-            for i in range(rows[0], rows[1]):
-                _product(matrix[i], known[: size + used], stage[i])
-    for i in range(size):
-        for m in range(modes):
-            waves[i, m] = complex(stage[i, 0, m], stage[i, 1, m])
+    done = 0
+    while done < record.shape[0] and (done == 0 or _lifts(stage, square, modes)):
+        for _ in range(steps):
+            if not math.isfinite(stage[0, 0, 0]):
+                stage[:] = np.nan
+                break
+            _copy(known, stage)
+            for s in range(4):
+                remainder(stage, curvature, square, weight, laws, references, switches, cosine, sine, work, rates[s])
+                used = (1, 2, 2, 3)[s]
+                _polynomial(s, flat_rates, polynomial[:used])
+                matrix, rows = middle if s < 2 else end, looked_at if s < 3 else (0, size)
+                for i in range(rows[0], rows[1]):
+                    _product(matrix[i], known[: size + used], stage[i])
+        _joined(stage, record[done])
+        done += 1
+    _joined(stage, waves)
+    return done

@@ -161,7 +161,9 @@ class Continuum:
         self.frozen = np.array([self.alpha, self.delta])  # for compiled loops
         self.built = 0.0  # the step for which the matrices were made, before they were doubled to `step`
         self.few = nodes <= (FEW_NODES if self.constant else FEW_NODES_VARYING)
+        self.steady = self.few and self.constant  # whether the matrices stay as they are while the step does
         self.decay = self.half = None  # made when needed
+        self.once = np.empty((1, 1 + self.count, self.k.size), complex)
 
     @cached_property
     def laws(self) -> np.ndarray:
@@ -270,34 +272,49 @@ class Continuum:
         elif step != self.step:
             self.double()
 
-    def leap(self, duration: float) -> None:
-        """Take `duration` in one step: exact where the remainder is constant."""
+    def leap(self, duration: float, times: int = 1) -> np.ndarray:
+        """Take `duration` in one step, exact where N is constant, so many times; the state after each, as `record`."""
         if duration != self.step:
             self.step, self.half, self.full = duration, None, exact(*self.linear, duration)
-        self.state = waves.leap(self.state, self.full, -self.alpha * self.kinds.load)
+        record = self.record(times)
+        self.state = waves.leap(self.state, self.full, -self.alpha * self.kinds.load, record)
+        return record
+
+    def record(self, times: int) -> np.ndarray:
+        """Room for H and Y, (times, 1 + kinds, modes)."""
+        return self.once if times == 1 else np.empty((times, 1 + self.count, self.k.size), complex)
 
     @np.errstate(all="ignore")
-    def advance(self, step: float, steps: int) -> None:
-        """Take `steps` steps of length `step`; a state that overflows becomes and stays NaN."""
-        if self.few and self.constant:
+    def advance(self, step: float, steps: int, times: int = 1) -> np.ndarray:
+        """Take `steps` steps of length `step`, so many times; the state after each, as `record`.
+
+        A state that overflows becomes and stays NaN. More than one time only where `steady` says so, and maybe fewer than were
+        asked for: up to where one has to see whether contact is certain.
+        """
+        if self.steady:
             self.renew(step)
-            kernels.advance(self.state, self.half, self.full, steps, *self.terms)
-            return
+            record = self.record(times)
+            return record[: kernels.advance(self.state, self.half, self.full, steps, record, *self.terms)]
         for _ in range(steps):
             if not np.isfinite(self.state[0, 0]):
                 self.state[:] = np.nan
-                return
+                break
             self.renew(step)
             if self.few:
-                kernels.advance(self.state, self.half, self.full, 1, *self.terms)
+                kernels.advance(self.state, self.half, self.full, 1, self.record(1), *self.terms)
             else:
                 self.state = krogstad(self.state, self.remainder, self.half, self.full)
+        return self.now()
 
-    def fields(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Road height, mean car height, mean of mass times contact force, on the nodes."""
+    def now(self) -> np.ndarray:
+        """The state as it is, as a `record` of one time."""
+        return self.state[None, : 1 + self.count]
+
+    def fields(self, record: np.ndarray) -> np.ndarray:
+        """Road height, mean car height, mean of mass times contact force, on the nodes: (3, times, nodes)."""
         cars = self.square, self.kinds.share, self.weight, self.lift_off
         if self.nodes <= SHORT:
-            return waves.fields_of(self.state, self.nodes, *cars)
-        with np.errstate(all="ignore"):
-            values = irfft(self.state[: 1 + self.count], n=self.nodes, norm="forward")
-        return waves.fields(values, *cars)
+            return waves.fields_of(record, self.nodes, *cars)
+        # one by one: several together may round otherwise
+        values = [irfft(state, n=self.nodes, norm="forward") for state in record]
+        return waves.fields(np.array(values), *cars)

@@ -142,34 +142,48 @@ def keep_contact(state, sink_rate, square, moving, rate, shape, inverse, duratio
 
 
 @njit(**COMPILE)
-def leap(state, full, rest):
-    """`state` (size, modes) one `schemes.exponential.exact` step `full` on, while the remainder is `rest`, of the mean."""
+def leap(state, full, rest, record):
+    """`state` (size, modes) `schemes.exponential.exact` steps `full` on, while the remainder is `rest`, of the mean.
+
+    After each step the first rows of the state go into record (steps, rows, modes).
+    """
     size, modes = state.shape
-    after = np.zeros_like(state)
-    for i in range(size):
-        for j in range(size):
+    for n in range(record.shape[0]):
+        after = np.zeros_like(state)
+        for i in range(size):
+            for j in range(size):
+                for m in range(modes):
+                    after[i, m] += full[i, j, m] * state[j, m]
+            after[i, 0] += full[i, size, 0] * rest
+        for i in range(record.shape[1]):
             for m in range(modes):
-                after[i, m] += full[i, j, m] * state[j, m]
-        after[i, 0] += full[i, size, 0] * rest
-    return after
+                record[n, i, m] = after[i, m]
+        state = after
+    return state
 
 
 @njit(**COMPILE)
 def fields(values, square, share, weight, lift_off):
-    """Road height, mean car height and mean force on the nodes, each (nodes,), from `values`, H and Y (1 + kinds, nodes)."""
-    height, car, force = values[0].copy(), values[0].copy(), np.zeros(values.shape[1])
-    for i in range(weight.size):
-        for j in range(force.size):
-            car[j] += share[i] * values[1 + i, j]
-            load = 1.0 - square[i] * values[1 + i, j]
-            force[j] += weight[i] * (0.0 if lift_off and load < 0.0 else load)
-    return height, car, force
+    """Road height, mean car height and mean force on the nodes, (3, times, nodes), from `values`, H and Y (times, 1 + kinds,
+    nodes)."""
+    times, nodes = values.shape[0], values.shape[2]
+    out = np.zeros((3, times, nodes))
+    for n in range(times):
+        height, car, force = out[0, n], out[1, n], out[2, n]
+        for j in range(nodes):
+            height[j] = car[j] = values[n, 0, j]
+        for i in range(weight.size):
+            for j in range(nodes):
+                car[j] += share[i] * values[n, 1 + i, j]
+                load = 1.0 - square[i] * values[n, 1 + i, j]
+                force[j] += weight[i] * (0.0 if lift_off and load < 0.0 else load)
+    return out
 
 
 @njit(**COMPILE)
-def fields_of(state, nodes, square, share, weight, lift_off):
-    """The same of a `state` (1 + 2 kinds, modes) on few nodes."""
-    return fields(on_nodes(state[: 1 + square.size], nodes), square, share, weight, lift_off)
+def fields_of(states, nodes, square, share, weight, lift_off):
+    """The same of H and Y as waves, (times, 1 + kinds, modes), on few nodes."""
+    return fields(on_nodes(states, nodes), square, share, weight, lift_off)
 
 
 @njit(**COMPILE)
