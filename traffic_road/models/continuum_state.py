@@ -182,6 +182,7 @@ class Continuum:
         self.alpha, self.delta = self.frozen[:] = alpha, delta
         self.linear = waves.linear_part(self.k, *self.kinds[:3], self.weight, alpha, delta)
 
+    @np.errstate(all="ignore")
     def build(self, step: float) -> None:
         """Solve the linear part, of every wave, over `step` and half of it."""
         self.half = exact(*self.linear, step / 2)
@@ -267,7 +268,12 @@ class Continuum:
         drifted = drifted and max(alpha, delta) < TOO_LARGE
         if drifted:
             self.refer(alpha, delta)
-        if drifted or self.half is None or step not in (self.step, 2 * self.step):
+            self.build(step)
+        self.prepare(step)
+
+    def prepare(self, step: float) -> None:
+        """Have the matrices of steps of this length."""
+        if self.half is None or step not in (self.step, 2 * self.step):
             self.build(step)
         elif step != self.step:
             self.double()
@@ -284,7 +290,6 @@ class Continuum:
         """Room for H and Y, (times, 1 + kinds, modes)."""
         return self.once if times == 1 else np.empty((times, 1 + self.count, self.k.size), complex)
 
-    @np.errstate(all="ignore")
     def advance(self, step: float, steps: int, times: int = 1) -> np.ndarray:
         """Take `steps` steps of length `step`, so many times; the state after each, as `record`.
 
@@ -292,18 +297,19 @@ class Continuum:
         asked for: up to where one has to see whether contact is certain.
         """
         if self.steady:
-            self.renew(step)
+            self.prepare(step)
             record = self.record(times)
             return record[: kernels.advance(self.state, self.half, self.full, steps, record, *self.terms)]
-        for _ in range(steps):
-            if not np.isfinite(self.state[0, 0]):
-                self.state[:] = np.nan
-                break
-            self.renew(step)
-            if self.few:
-                kernels.advance(self.state, self.half, self.full, 1, self.record(1), *self.terms)
-            else:
-                self.state = krogstad(self.state, self.remainder, self.half, self.full)
+        with np.errstate(all="ignore"):
+            for _ in range(steps):
+                if not np.isfinite(self.state[0, 0]):
+                    self.state[:] = np.nan
+                    break
+                self.renew(step)
+                if self.few:
+                    kernels.advance(self.state, self.half, self.full, 1, self.once, *self.terms)
+                else:
+                    self.state = krogstad(self.state, self.remainder, self.half, self.full)
         return self.now()
 
     def now(self) -> np.ndarray:
