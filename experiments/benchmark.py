@@ -52,7 +52,8 @@ CASES = [  # label, bar, threads, cars, nodes a headway, hold, diffusivity, rela
 QUICK = (0, 2, 8, 9)  # of them, in the quick form
 LONGEST = 20_000  # headways of a run: without diffusion nothing holds what grows
 MIXED_BARS = 0.3, np.nan, 0.1, 0.1
-FLEETS = (1, 2, 4, 8, 16, 32, 64)  # of which the fixed cost of a run is told; 256 nodes
+FLEETS = (1, 2, 4, 8, 16, 32, 64)  # of which the fixed cost of a run is told, 256 nodes, and that of a headway
+FEW_ROWS, FEW_HOLD, FEW_HEADWAYS = 16, 3, 2000  # of the latter, relaxed every headway
 SIZES = (64, 256, 1024, 4096, 16384)  # cars, and
 DURATIONS = (100, 1000, 10000)  # headways over which the cost of an update should be flat
 
@@ -210,6 +211,13 @@ def main() -> None:
         print(
             f"fixed cost of a run of {n} cars {1e3 * run:.1f} ms (bar 5), of its error estimate {1e3 * estimate:.1f} ms"
         )
+    few = [FEW_ROWS, FEW_HOLD, DIFFUSIVITY, 1, SOFTNESS]
+    runs = [(1, partial(rate, n, FEW_HEADWAYS, *few)) for n in FLEETS]
+    headway = FEW_ROWS * np.array(FLEETS) / measured(runs, 1 if chosen.quick else 8)[0]
+    for n, took in zip(FLEETS, headway, strict=True):
+        print(
+            f"a headway of {n} cars on {FEW_ROWS * n} nodes, hold {FEW_HOLD}, relaxed every headway: {1e6 * took:.2f} us"
+        )
     used = [memory(16 * CARS, n) for n in (8, 80)]
     print(f"memory over road and cars: {used[0]:.2f}, ten times as long {used[1]:.2f} (bar 1.5)")
     plain = 32, 1, 0.0, 1, SOFTNESS
@@ -223,6 +231,11 @@ def main() -> None:
             "threads": ("case", threads, {"long_name": "threads", "units": "1"}),
             "added_error": ("case", errors, {"long_name": "relative error added to sigma(0.9)", "units": "1"}),
             "fixed_cost": (("fleet", "part"), fixed, {"long_name": "time of a run of two headways", "units": "s"}),
+            "headway_cost": (
+                "fleet",
+                headway,
+                {"long_name": "time of a relaxed headway, 16 nodes a car", "units": "s"},
+            ),
             "memory": ("length", used, {"long_name": "most memory over road and cars", "units": "1"}),
             "cost_by_size": ("size", by_size, {"long_name": "time of an update", "units": "s"}),
             "cost_by_duration": ("duration", by_duration, {"long_name": "time of an update", "units": "s"}),

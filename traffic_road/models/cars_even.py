@@ -10,13 +10,13 @@ from ..schemes import oscillator
 from . import Breath, Pace, Sample
 from .cars_state import force, kinds, level_of, sink_rate, start
 from .even_kernels import FIELDS, recursion, scaled, sweep_even
-from .even_layout import aligned, get, layout, on_huge_pages, put, slots
+from .even_layout import aligned, get, last_of, layout, on_huge_pages, put, slots
 from .even_passages import passage, passage_about
 from .even_relaxation import Relaxation, margin
 
 FAINT = 1e-9  # softness of a passage below which a force is lost in the rounding of the road, and no count of it kept
 
-STRETCH = 64  # headways between looks at the clock and the level, without relaxation
+STRETCH = 64  # headways between looks at the clock and the level, where the road relaxes by itself or not at all
 
 
 def even_samples(scene, times, order, first_node, left=None, *, nodes, hold, relax_every):
@@ -60,15 +60,22 @@ def even_samples(scene, times, order, first_node, left=None, *, nodes, hold, rel
         yield sample()
         taken = 1
     sink, pace = sink_rate(scene) * scene.headway / speed, Pace()
+    most = STRETCH if sink * STRETCH < 1 else 1 / sink  # headways in which the level hardly changes
     for target in np.rint(np.asarray(times[taken:]) * speed / scene.headway).astype(int).tolist():
         while done < target:
             chunk = min(stretch, target - done)
             if pace.due():
                 yield Breath(done * scene.headway / speed, leave, heights)
-            cars.cross(road, done, chunk, relaxation.ahead(road, pending + chunk / 2))
-            done += chunk
+            times = int(min(most, target - done) // stretch) if pending == stretch / 2 else 0
+            inside = relaxation.inside(stretch) if times > 1 else None
+            if inside:
+                crossed, band = times * chunk, (times, *inside)
+            else:
+                crossed, band = chunk, relaxation.ahead(road, pending + chunk / 2)
+            cars.cross(road, done, chunk, band, crossed)
+            done += crossed
             pending = chunk / 2
-            if sink * done // 1 != sink * (done - chunk) // 1:
+            if sink * done // 1 != sink * (done - crossed) // 1:
                 sunk = level_of(heights())
                 road -= sunk
                 cars.lower(sunk)
@@ -125,9 +132,8 @@ class _Cars:
 
     def read(self, done):
         """Z and the last contact height (cars,) of each car, and the number of passages without contact so far."""
-        slot, lane = slots(done, self.layout)
-        contact, f = self.state[slot, -2, lane], self.state[slot, -1, lane]
-        airborne = int(done * self.rows * slot.size + self.contacts.sum()) if self.lift_off else 0
+        contact, f = last_of(self.state, done, self.layout)
+        airborne = int(done * self.rows * f.size + np.add.reduce(self.contacts)) if self.lift_off else 0
         return (f - self.offset) / self.factor + self.newest * contact, contact, airborne
 
     def lower(self, level):
@@ -140,13 +146,16 @@ class _Cars:
             self.state[:, j] -= level * sum(e[j:])
         self.state[:, 1] -= D * sunk
 
-    def cross(self, road, done, headways, band):
-        """All cars cross `headways` blocks, the first of them being headway `done`; band: of `Relaxation.ahead`."""
+    def cross(self, road, done, headways, band, crossed):
+        """All cars cross `headways` blocks, the first of them being headway `done`, once or more often: `crossed` in all.
+
+        band: of `Relaxation.ahead`, or how often, and of `Relaxation.inside`.
+        """
         slot, lane = self.where
         short = False
         if self.exponential:
             cars = self.state[slot, -2, lane], self.state[slot, 0, lane]
-            self.law, short = passage_about(self.passage, *cars, headways * self.rows * slot.size)
+            self.law, short = passage_about(self.passage, *cars, crossed * self.rows * slot.size)
         sweep = sweep_even(*self.kernel, short)
         least = 0.0 if self.lift_off else -np.inf
         sweep(road, self.flat, self.contacts, self.layout, headways, done, self.coefficients, self.law, least, *band)

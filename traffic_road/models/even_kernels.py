@@ -30,7 +30,7 @@ from ..laws import BOUNDED, CONSTANT, EXPONENTIAL
 from ..schemes.passage import contact_height
 from .even_layout import COMPILE, WIDTH, aligned, copy, hand_over, row_of
 from .even_passages import DEEPEST, met, met_always, met_bounded, met_exponential
-from .even_relaxation import relax_panel
+from .even_relaxation import relax_as_line, relax_panel
 from .even_surround import surround_edges
 from .stack import align_stack
 
@@ -140,7 +140,8 @@ def _make_sweep(width, hold, kind, unroll, parallel, always, short):
 
         road and state flat. counts (panels * width,): less one for each passage with contact. c: constant, T, -D, e_0.. of
         the recursion; law: `passage`. least: force that a wheel presses with at least, 0 or, without lift-off, -inf.
-        band: of `even_relaxation.relax_panel`, by which the road relaxes first if there are weights; threads alone have one.
+        band, of threads: of `even_relaxation.relax_panel`, by which the road relaxes first if there are weights. Otherwise how
+        often all this is done, and of `even_relaxation.relax_as_line`, by which the road then relaxes before each time.
         """
         _ = parallel, short, always  # read, since only what is read tells compiled loops on the disk apart
         tiles, rows = layout.tiles, layout.rows
@@ -158,18 +159,23 @@ def _make_sweep(width, hold, kind, unroll, parallel, always, short):
         room = (unroll + 1 + hold) * width if kind == EXPONENTIAL else 0
         if kind == EXPONENTIAL:
             saved, tallied = aligned(layout.panels * room), aligned(layout.panels * width).view(np.int64)
-        relaxes = False
+        times = 1
         if parallel:
             depth, passes, twice, weights, scratch = band
-            relaxes = weights.size > 0
-            if relaxes:
+            if weights.size > 0:
                 surround_edges(road, depth, layout)
+        else:
+            times, weights, wide, line = band
+        relaxes = weights.size > 0
         deepest = min(DEEPEST, tiles)
-        end_of_all = first + count
+        parts = 2 * ((count + deepest - 1) // deepest)
         piece = np.int64(unroll)  # no constant: `_carefully` would be compiled for each
-        for part in range(2 * ((count + deepest - 1) // deepest)):
-            wedge, done = part % 2 == 0, first + part // 2 * deepest
-            headways = min(deepest, end_of_all - done)
+        for turn in range(times * parts):
+            begun, part = first + turn // parts * count, turn % parts
+            if not parallel and relaxes and part == 0:
+                relax_as_line(road, layout, line, wide, weights)
+            wedge, done = part % 2 == 0, begun + part // 2 * deepest
+            headways = min(deepest, begun + count - done)
             if headways > 1 or wedge:
                 for panel in prange(layout.panels):
                     align_stack()

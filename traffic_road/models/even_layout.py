@@ -146,6 +146,16 @@ def slots(done, layout):
 
 
 @njit(**COMPILE)
+def last_of(state, done, layout):
+    """The last two fields of each car, (2, count), in that order; state (panels * tiles, fields, width)."""
+    out, (slot, lane), fields = np.empty((2, layout.count)), slots(done, layout), state.shape[1]
+    for car in range(layout.count):
+        for n in range(2):
+            out[n, car] = state[slot[car], fields - 2 + n, lane[car]]
+    return out
+
+
+@njit(**COMPILE)
 def hand_over(state, begin, end, layout, spare):
     """Cars that crossed the last tile before headway begin <= `done` < end step over to the next lane: into tile 0, or 1
     of a short lane.

@@ -17,12 +17,13 @@ from .even_layout import COMPILE, NARROW, aligned, get, put, row_of
 from .even_ripple import MARGIN, Ripples, halvings
 from .even_surround import surround_edges, surround_inside
 from .lane_filters import FIRST, MORE
-from .line_relaxation import LEAST, LineRelaxation
+from .line_relaxation import LEAST, LineRelaxation, relax_line
 
 # in pairs of rows worked out for a row of the road, along NARROW lanes or not:
 NEAR = {True: 40, False: 15}  # a row of the margins filled
 MOST = {True: 65, False: 95}  # by levels of a line it costs as much
 MOST_SHORT = 200  # a line that is too short for these
+FEW = 2048  # nodes that relax as a line in less time than a call of these loops takes
 
 
 @njit(**COMPILE)
@@ -34,6 +35,14 @@ def relax_panel(road, panel, layout, depth, passes, twice, weights, scratch):
         smooth_by_levels(road, start, count, layout.width, passes, twice, weights, scratch)
     else:
         smooth_in_place(road, start, count, layout.width, weights, scratch)
+
+
+@njit(**COMPILE)
+def relax_as_line(road, layout, line, wide, weights):
+    """The road by `line_relaxation.relax_line`; line (nodes,) is spare."""
+    get(line, road, 0, layout)
+    relax_line(line, wide, weights)
+    put(road, line, 0, layout)
 
 
 def _make_relax(parallel):
@@ -69,8 +78,9 @@ class Relaxation:
         self.scratch = aligned(threads * numbers).reshape(threads, numbers)
         self.acts = acts(scene)
         self.ways: dict = {}  # headways -> relax(road), or a band
-        none = np.empty((0, LOW_PASS + 1))
-        self.nothing = (0, none, none, np.empty(0), self.scratch) if self.parallel else ()
+        none, empty = np.empty((0, LOW_PASS + 1)), np.empty(0)
+        self.nothing = (0, none, none, empty, self.scratch) if self.parallel else (1, empty, empty, empty)
+        self.between: dict = {}  # headways -> what `inside` gives
         self.ripples = None
         self.along = LineRelaxation(scene.road.diffusivity, scene.road.length)
 
@@ -92,6 +102,15 @@ class Relaxation:
         way(road)
         return self.nothing
 
+    def inside(self, headways: float) -> tuple | None:
+        """Of few nodes, what lets one thread relax the road again and again, before the cars go on: `relax_as_line`'s."""
+        if headways not in self.between:
+            few = self.acts and not self.parallel and self.nodes <= FEW
+            way, *given = self.along.way(headways * self.headway_time, self.nodes) if few else (None,)
+            wide, weights = given if way is relax_line else (None, None)
+            self.between[headways] = None if wide is None else (weights, wide, np.empty(self.nodes))
+        return self.between[headways]
+
     def _way(self, headways):
         # a last interval may be shorter than those that the margin was made for
         way = _weights(self.scene, self.nodes, self.layout, headways)
@@ -107,6 +126,9 @@ class Relaxation:
                 self.ripples = Ripples(self.nodes, self.layout, halvings, self.scratch)
             weights = by_ripples(_spread(self.scene, self.nodes, headways), self.nodes, halvings)
             return lambda road: self.ripples(road, *weights)
+        if inside := self.inside(headways):
+            weights, wide, line = inside
+            return lambda road: relax_as_line(road, self.layout, line, wide, weights)
         return lambda road: self._as_line(road, headways * self.headway_time)
 
     def _as_line(self, road, interval):

@@ -145,18 +145,23 @@ class LineRelaxation:
     def __call__(self, road, interval: float) -> None:
         if self.still:
             return
-        if not isinstance(self.law, Constant):
+        way, *given = self.way(interval, road.size)
+        if way is None:
             road[:] = relax_law(road, self.law, interval, self.length)
-            return
-        if interval not in self.ways:
-            if len(self.ways) > 3:  # each stretch between samples has its own two intervals
-                self.ways.clear()
-            self.ways[interval] = self._way(self.law.value * interval, road.size)
-        way, *given = self.ways[interval]
-        if way is relax_transform:
+        elif way is relax_transform:
             road[:] = way(road, *given)
         else:
             way(road, *given)
+
+    def way(self, interval: float, nodes: int) -> tuple:
+        """A compiled relaxation, or relax_transform, and what it is given beside the road; None where Delta(H) varies."""
+        if not isinstance(self.law, Constant):
+            return (None,)
+        if interval not in self.ways:
+            if len(self.ways) > 3:  # each stretch between samples has its own two intervals
+                self.ways.clear()
+            self.ways[interval] = self._way(self.law.value * interval, nodes)
+        return self.ways[interval]
 
     def _way(self, diffusion, nodes):
         spread = diffusion * (nodes / self.length) ** 2
