@@ -171,6 +171,7 @@ def fixed_cost(count) -> tuple[float, float]:
 
 def memory(count, headways) -> float:
     """Most memory between two samples over that of road and cars (Z, P and a contact height of each)."""
+    rate(count, 8, 32, 1, DIFFUSIVITY, 4, SOFTNESS)  # compiled: what that takes is not the run's
     case = scene(count, headways, DIFFUSIVITY, SOFTNESS)
     numerics = cars.numerics(case, {"nodes": 32 * count, "hold": 1, "relax_every": 4})
     samples = cars.samples(case, cars.sample_times(case, [0.0, case.duration], numerics), numerics)

@@ -89,6 +89,18 @@ def test_take_off_and_landing_within_one_cell(excess, shift):
     assert np.abs(model.remainder(waves) - expected).max() < 1e-12 * model.alpha
 
 
+def test_short_flights_wherever_they_are_in_a_cell():
+    scene = ring(10.0)
+    model, waves = Continuum(scene, 8), np.zeros((3, 4), dtype=complex)
+    for excess in (10**-3.5, 1e-2):
+        for shift in np.pi * np.append(
+            np.geomspace(1e-5, 1 / 32, 15), (0.0, 1e-3)
+        ):  # of its vertex from a node, to half a cell
+            waves[1, 1] = (1 + excess) / 2 * np.exp(1j * shift)
+            expected = by_quadrature(scene, waves[:2], 4, model.frozen)
+            assert np.abs(model.remainder(waves) - expected).max() < 1e-12 * model.alpha, (excess, shift)
+
+
 def test_few_waves_carry_the_bouncing_road():
     reference = np.fft.rfft(dop853(BOUNCING, 31, 1e-10)[0], norm="forward")[1:]
     for nodes, tolerance in ((9, 1e-3), (15, 1e-4)):  # what is left out hardly acts back on what is kept

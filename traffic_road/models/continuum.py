@@ -55,6 +55,7 @@ MOST_WAVES = 64  # that are looked at for the longest step
 FIRST_BATCH = 4096  # nodes' steps taken at a time, at first
 LONGEST_BATCH = 0.05  # seconds within which that is doubled
 MOST_KEPT = 1 << 16  # numbers of the states that are kept for samples to come
+FIRST_REACH = 16  # samples that are looked at to be taken together, at first; twice as many if they can be
 
 
 def numerics(scene, given: dict) -> dict:
@@ -218,12 +219,12 @@ def samples(scene, times, numerics: dict, state: dict | None = None):
     if state is not None:
         taken, until, updates, left, length = (state[k] for k in ("taken", "until", "updates", "left", "length"))
         continuum.take_up(state)
-    pace, batch = Pace(), max(1, FIRST_BATCH // numerics["nodes"])
+    pace, batch, reach = Pace(), max(1, FIRST_BATCH // numerics["nodes"]), FIRST_REACH
     while taken < len(times):
-        time, now, before, record = float(times[taken]), until - left * length, updates, None
-        many = 1  # samples as far apart, by as many steps: taken together
-        if not left and now >= (1 - 1e-9) * BEGINNING[-1][0] * unit and taken + 1 < len(times):
-            many = _alike(times[taken - 1 :], max(1, MOST_KEPT // continuum.state.size))
+        time, now, before, record, together = float(times[taken]), until - left * length, updates, None, 1
+        many = 1  # samples that may be taken together: equal steps have begun, and the next is as far away
+        if not left and now >= (1 - 1e-9) * BEGINNING[-1][0] * unit and _equal(times[taken - 1 : taken + 2]):
+            many = max(1, min(reach, MOST_KEPT // continuum.state.size))
         # not asked again for the whole run
         if not left and (always_linear or (0 < time - now < times[-1] and continuum.stays_linear(time - now))):
             while until < time:
@@ -231,35 +232,51 @@ def samples(scene, times, numerics: dict, state: dict | None = None):
                 updates += steps * numerics["nodes"]
             if time > now:
                 length = continuum.as_before(time - now, time)
-                record = continuum.leap(length, many if always_linear else 1)
+                if many > 1 and always_linear:
+                    together = _alike(times[taken - 1 :], length, 1, many)
+                record = continuum.leap(length, together)
         while left or until < time:
             if not left:
                 begun = until
                 until, left = stage(begun, time, numerics["step"], unit)
                 updates += left * numerics["nodes"]
                 length = continuum.as_before((until - begun) / left, time / left)
-            some = min(batch, left)
-            together = min(many, batch // some) if continuum.steady and some == left else 1
-            begin = perf_counter()
+                many = min(many, batch // left)
+                if many > 1 and continuum.steady:
+                    together = _alike(times[taken - 1 :], length, left, many, numerics["step"])
+            begin, some = perf_counter(), min(batch, left)
             record = continuum.advance(length, some, together)
             left -= some
             batch *= 2 if 2 * some * together > batch and perf_counter() - begin < LONGEST_BATCH else 1
             if left and pace.due():
                 yield Breath(until - left * length, leave, heights)
-        each = updates - before
+        reach = 2 * reach if together == many > 1 else FIRST_REACH
+        added, updates = updates - before, before
         for height, car, force in zip(*continuum.fields(continuum.now() if record is None else record), strict=True):
-            until, updates = float(times[taken]), before + each
+            if until < times[taken]:  # together with the first
+                until, steps = stage(until, float(times[taken]), numerics["step"], unit)
+                added = steps * numerics["nodes"]
+            updates += added
             yield Sample(until, height, car, force, None, updates)
-            taken, before = taken + 1, updates
+            taken += 1
         if taken < len(times) and pace.due():
             yield Breath(until, leave, heights)
 
 
-def _alike(times, most: int) -> int:
-    """How many of the intervals between `times`, `most` or less, are as long as the first, but for rounding."""
-    gaps = np.diff(times[: most + 1])
-    alike = np.abs(gaps - gaps[0]) <= 4 * EPS * times[1 : most + 1]
-    return alike.size if alike.all() else int(alike.argmin())
+def _equal(times) -> bool:
+    """Whether three times are about as far apart; others need not be looked at closely."""
+    return len(times) == 3 and abs(times[2] - 2 * times[1] + times[0]) < 1e-9 * times[2]
+
+
+def _alike(times, length: float, parts: int, most: int, step: float = math.inf) -> int:
+    """How many of the intervals between `times`, `most` or less, are led over just as the first is: by as many `parts`, if
+    none is longer than `step`, that `Continuum.as_before` takes for `length`."""
+    times = times[: most + 1]
+    gaps = np.diff(times)
+    alike = np.abs(gaps / parts - length) <= 8 * EPS * (times[1:] / parts)
+    if step < math.inf:
+        alike &= np.maximum(1, np.ceil(gaps / step * (1 - 1e-12))) == parts
+    return alike.size if alike.all() else max(1, int(alike.argmin()))
 
 
 @lru_cache(maxsize=4)

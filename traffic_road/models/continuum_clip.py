@@ -25,7 +25,8 @@ COMPILE = {"cache": True, "error_model": "numpy", "fastmath": {"contract", "reas
 TOGETHER = 4  # waves
 E1, E2, E3 = (np.uint64(n) for n in (1, 2, 3))
 MOST_ROOT_STEPS = 60  # Halley takes 1 or 2; bisection alone would take 50
-CLOSE = 3e-4  # radians: the root is exact to the cube of its last move, and the clip, which is 0 there, to the square of that
+CLOSE = 3e-4  # radians: a last move, whose cube, times a factor, is what the root is off by
+ENOUGH = 1e-8  # that: the clip, which is 0 at a root, is off by the square of it
 
 
 @njit(**COMPILE)
@@ -49,15 +50,20 @@ def _at(series, modes, theta):
 
 
 @njit(**COMPILE)
-def _root(series, modes, low, high, at_low, at_high, bend):
-    """The root between `low` and `high`, where the series differs in sign: Halley, kept in the bracket by bisection.
-
-    bend: about the second difference of the series with such a distance; it tells where to begin.
-    """
-    rising = at_low <= 0.0
+def _between(at_low, at_high, bend):
+    """About where in a cell, from 0 to 1, a series changes sign; bend: its second difference from cell to cell."""
     share, slope = at_low / (at_low - at_high), at_high - at_low
     closer = share * (1.0 + 0.5 * (1.0 - share) * bend / (slope - (0.5 - share) * bend))
-    theta = low + (high - low) * (closer if 0.0 < closer < 1.0 else share)
+    return closer if 0.0 < closer < 1.0 else share
+
+
+@njit(**COMPILE)
+def _root(series, modes, low, high, rising, theta):
+    """The root between `low` and `high`, where the series rises through zero or falls, from `theta` on.
+
+    Halley, kept in the bracket by bisection, also where the series is flat: close to a vertex it moves little, but the root
+    may be far. It is off by the cube of a move times (bend/(2 slope))^2, or as much as the third derivative has in it.
+    """
     for _ in range(MOST_ROOT_STEPS):
         value, slope, bend = _at(series, modes, theta)
         if (value > 0.0) == rising:
@@ -65,13 +71,15 @@ def _root(series, modes, low, high, at_low, at_high, bend):
         else:
             low = theta
         target = theta - 2.0 * value * slope / (2.0 * slope * slope - value * bend)
-        enough = CLOSE  # the next correction is of the order of the cube of this one
-        if not low <= target <= high:
-            target, enough = 0.5 * (low + high), 4e-16
         moved = abs(target - theta)
+        inside = low <= target <= high
+        if inside and moved < CLOSE and bend * bend * moved**3 <= 4.0 * ENOUGH * slope * slope:
+            return target
+        if not inside or moved < CLOSE:
+            target = 0.5 * (low + high)
+            if high - low < 1e-15:
+                return target
         theta = target
-        if moved < enough:
-            break
     return theta
 
 
@@ -99,7 +107,8 @@ def roots_of(series, modes, values, roots, signs):
             if (here > 0.0) != (after > 0.0):
                 later = values[j + E2 if j + E2 < points else j + E2 - points]
                 bend = 0.5 * (before - here - after + later)
-                roots[count] = _root(series, modes, theta, theta + width, here, after, bend)
+                first = theta + width * _between(here, after, bend)
+                roots[count] = _root(series, modes, theta, theta + width, after > 0.0, first)
                 signs[count] = 1.0 if after > 0.0 else -1.0
                 count += 1
             elif (here > 0.0) == (before > 0.0):
@@ -107,10 +116,13 @@ def roots_of(series, modes, values, roots, signs):
                 vertex, _, _ = _at(series, modes, theta + shift * width) if shift == shift else (here, 0.0, 0.0)
                 if (vertex > 0.0) != (here > 0.0):
                     low, at_low, at_high = (theta - width, before, here) if shift < 0.0 else (theta, here, after)
-                    middle = theta + shift * width
-                    roots[count] = _root(series, modes, low, middle, at_low, vertex, 0.0)
-                    roots[count + 1] = _root(series, modes, middle, low + width, vertex, at_high, 0.0)
-                    signs[count] = 1.0 if vertex > 0.0 else -1.0
+                    middle, rising = theta + shift * width, vertex > 0.0
+                    left, right = middle - low, low + width - middle  # of a parabola's vertex
+                    first = middle - left * math.sqrt(vertex / (vertex - at_low))
+                    roots[count] = _root(series, modes, low, middle, rising, first)
+                    first = middle + right * math.sqrt(vertex / (vertex - at_high))
+                    roots[count + 1] = _root(series, modes, middle, low + width, not rising, first)
+                    signs[count] = 1.0 if rising else -1.0
                     signs[count + 1] = -signs[count]
                     count += 2
         before, here = here, after

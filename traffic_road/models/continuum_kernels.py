@@ -226,7 +226,7 @@ def advance(waves, half, full, steps, record, curvature, square, weight, laws, r
     """`steps` steps of `schemes.exponential.krogstad` on the complex `waves` (1 + 2 kinds, modes), in place, again and again.
 
     After each time the first rows of the state go into record (times, rows, modes). Returns how many times: fewer than are
-    asked for where cars may stay in contact from there, so that no steps are needed. They become NaN where they overflow.
+    asked for where cars may stay in contact from there, so that no steps are needed. Waves that overflow become NaN.
     """
     size, modes = waves.shape
     powers, width = POLYNOMIAL.shape[1], padded(modes)

@@ -136,7 +136,7 @@ def grown_from_rounding(scene, road_height) -> float:
     return float(np.sqrt(2 * np.sum(wave[np.arange(wave.size) % base != 0] ** 2)))
 
 
-_table = lru_cache(maxsize=4)(kernels.table)  # of a grid, whatever the scene
+_table = lru_cache(maxsize=4)(kernels.table)  # of a grid, whatever the scene; a large one would fill the memory
 
 
 class Continuum:
@@ -174,8 +174,9 @@ class Continuum:
     def terms(self) -> tuple:
         """What the compiled remainder needs to know, beside the state."""
         rows = self.k.size if self.constant else self.fine // 2
+        table = _table(rows, self.fine) if self.nodes <= SHORT else kernels.table(rows, self.fine)
         switches = not self.constant, self.lift_off
-        return -(self.k**2), self.square, self.weight, self.laws, self.frozen, switches, *_table(rows, self.fine)
+        return -(self.k**2), self.square, self.weight, self.laws, self.frozen, switches, *table
 
     def refer(self, alpha: float, delta: float) -> None:
         """Take these for the reference values."""

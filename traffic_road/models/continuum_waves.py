@@ -233,7 +233,7 @@ def apart(heights, other):
 
 @njit(**COMPILE)
 def left_on_few(heights, begin, system, time):
-    """The same of road heights on few nodes, (nodes,)."""
+    """`left_by_rounding` of road heights on few nodes, (nodes,)."""
     series, wave = on_waves(heights, begin.shape[1]), np.empty(begin.shape[1], np.complex128)
     for m in range(wave.size):
         wave[m] = complex(series[0, m], series[1, m])
