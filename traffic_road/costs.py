@@ -25,6 +25,7 @@ SLOWER = 1.4
 FIXED = {"linear": 0.7e-3, "continuum": 0.06e-3, "cars": 0.9e-3}  # of any run: scene to samples
 CALL, CALL_INTERVAL = 0.6e-6, 13e-6  # of a headway of an even fleet; of the loops that cross and relax an interval,
 CALL_FEW = 0.3e-6  # many of them at once, of few nodes
+FEW_NODE, FEW_PAIR = 1.6e-9, 1.1e-10  # of these a node relaxed, and each pair of its weights
 CALL_EXPONENTIAL = 35e-6  # of the polynomial for one, made anew for every interval, or for many
 CALL_RELAX, CALL_SHORT = 5e-6, 3e-6  # of a relaxation, and of a short ring's
 PAIR = 7e-11  # two nodes of a short ring
@@ -86,8 +87,7 @@ def of_cars(scene, numerics: dict, even: bool) -> float:
     else:
         sweep = ANY_CALL + scene.fleet.count * ANY_CAR + nodes * (ANY_LAW if varies else ANY_ORDER)
     relax, interval, delta = 0.0, scene.headway_time * numerics["relax_every"], float(road.diffusivity(0.0))
-    few = even and nodes <= FEW and isinstance(road.diffusivity, Constant)  # and they relax as a line
-    call, calls = (CALL_FEW, max(1.0, STRETCH / numerics["relax_every"])) if few and delta > 0 else (CALL_INTERVAL, 1.0)
+    call, calls = CALL_INTERVAL, 1.0
     if not isinstance(road.diffusivity, Constant):
         reach = 0.5 * interval * delta * (np.pi * nodes / road.length) ** 2
         relax = CALL_LAW + nodes * RELAX_LAW * (1 + np.sqrt(2 * reach))
@@ -96,14 +96,17 @@ def of_cars(scene, numerics: dict, even: bool) -> float:
         by_levels = nodes >= LEAST and spread >= ALIASED
         transform = nodes * PAIR if short else LINE_LEVELS if by_levels else TRANSFORM
         band, most = LINE_LEVELS if by_levels else LINE_BAND, LINE_SPREAD
-        if even and not short and not few:
+        if even and not short:
             lanes = layout(count, nodes // count)
             band, most = BAND if count >= MANY else NARROW_BAND, ((lanes.tiles - 1) * lanes.rows / REACH) ** 2
             if spread <= SPREAD and halvings(nodes, lanes):
                 transform = RIPPLES
-        relax = (0.0 if few else CALL_SHORT if short or not even else CALL_RELAX) + nodes * (
+        relax = (CALL_RELAX if even and not short else CALL_SHORT) + nodes * (
             band if SPREAD < spread < most else transform
         )
+        if even and nodes <= FEW and (short or SPREAD < spread < LINE_SPREAD):
+            call, calls = CALL_FEW, max(1.0, STRETCH / numerics["relax_every"])
+            relax = nodes * (FEW_NODE + FEW_PAIR * min(nodes / 2, 10 * np.sqrt(spread)))
     if even:
         relax += call + (CALL_EXPONENTIAL / calls if isinstance(road.softness, Exponential) else 0.0)
     return SLOWER * (FIXED["cars"] + headways * (sweep + relax / numerics["relax_every"]))

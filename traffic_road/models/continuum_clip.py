@@ -73,7 +73,7 @@ def _root(series, modes, low, high, rising, theta):
         target = theta - 2.0 * value * slope / (2.0 * slope * slope - value * bend)
         moved = abs(target - theta)
         inside = low <= target <= high
-        if inside and moved < CLOSE and bend * bend * moved**3 <= 4.0 * ENOUGH * slope * slope:
+        if inside and max(moved, abs(value / slope)) < CLOSE and bend * bend * moved**3 <= 4.0 * ENOUGH * slope * slope:
             return target
         if not inside or moved < CLOSE:
             target = 0.5 * (low + high)
