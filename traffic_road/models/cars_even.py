@@ -28,10 +28,10 @@ def even_samples(scene, times, order, first_node, left=None, *, nodes, hold, rel
     node = (first_node + rows * np.arange(count)) % nodes
     where_in = layout(count, rows, margin(scene, nodes, layout(count, rows), (relax_every / 2, relax_every)))
     threads = min(numba.get_num_threads(), where_in.panels)
-    cars = _Cars(scene, node, hold, where_in, threads > 1)
+    relaxation = Relaxation(scene, nodes, where_in, threads)
+    cars = _Cars(scene, node, hold, where_in, threads > 1, relaxation.few)
     road = on_huge_pages(where_in.size)
     put(road, scene.road.profile.sample(scene.road.length, nodes), first_node + 1, where_in)
-    relaxation = Relaxation(scene, nodes, where_in, threads)
     stretch = relax_every if relaxation.acts else STRETCH
     back = np.argsort(order)
 
@@ -89,7 +89,7 @@ def even_samples(scene, times, order, first_node, left=None, *, nodes, hold, rel
 class _Cars:
     """State of the cars, and how they cross blocks."""
 
-    def __init__(self, scene, node, hold, where_in, parallel):
+    def __init__(self, scene, node, hold, where_in, parallel, few):
         fleet, count = scene.fleet, scene.fleet.count
         distinct, _ = kinds(fleet)
         speed, frequency, damping, mass = distinct[0]
@@ -110,7 +110,7 @@ class _Cars:
         self.law = passage(*self.passage, 0.0)
         self.newest = B[0, 0]
         self.lift_off, self.rows = scene.lift_off, rows
-        self.kernel = where_in.width, hold, kind, rows, parallel, kind == CONSTANT and not scene.lift_off
+        self.kernel = where_in.width, hold, kind, rows, parallel, kind == CONSTANT and not scene.lift_off, few
 
         height = scene.road.profile.sample(scene.road.length, node.size * rows)
         Z, P, past = start(scene, height, node, np.zeros(count, dtype=int), distinct, hold)

@@ -124,7 +124,7 @@ def _in_pairs(road, at, rows, state, car, counts, counted, c, s):
             state[m + i], state[m + W1 + i], state[m + W2 + i], state[m + W3 + i] = g, w, j, g1
 
 
-def _make_sweep(width, hold, kind, unroll, parallel, always, short):
+def _make_sweep(width, hold, kind, unroll, parallel, always, few, short):
     """The sweep for one width, one hold and one kind of law; `unroll` divides the rows. All are constants of the loop.
 
     Only numbers are closed over: with a compiled function among them the cache on disk would never be found again.
@@ -140,10 +140,10 @@ def _make_sweep(width, hold, kind, unroll, parallel, always, short):
 
         road and state flat. counts (panels * width,): less one for each passage with contact. c: constant, T, -D, e_0.. of
         the recursion; law: `passage`. least: force that a wheel presses with at least, 0 or, without lift-off, -inf.
-        band, of threads: of `even_relaxation.relax_panel`, by which the road relaxes first if there are weights. Otherwise how
-        often all this is done, and of `even_relaxation.relax_as_line`, by which the road then relaxes before each time.
+        band, of threads: of `even_relaxation.relax_panel`, by which the road relaxes first if there are weights. Of few nodes:
+        how often all this is done, and of `even_relaxation.relax_as_line`, by which the road then relaxes before each time.
         """
-        _ = parallel, short, always  # read, since only what is read tells compiled loops on the disk apart
+        _ = parallel, short, always, few  # read, since only what is read tells compiled loops on the disk apart
         tiles, rows = layout.tiles, layout.rows
         c0, T, D, e0, e1 = c[0], c[1], c[2], c[3], c[4]
         if hold > 1:
@@ -159,21 +159,24 @@ def _make_sweep(width, hold, kind, unroll, parallel, always, short):
         room = (unroll + 1 + hold) * width if kind == EXPONENTIAL else 0
         if kind == EXPONENTIAL:
             saved, tallied = aligned(layout.panels * room), aligned(layout.panels * width).view(np.int64)
-        times = 1
+        relaxes, times = False, 1
         if parallel:
             depth, passes, twice, weights, scratch = band
-            if weights.size > 0:
+            relaxes = weights.size > 0
+            if relaxes:
                 surround_edges(road, depth, layout)
-        else:
+        if few:
             times, weights, wide, line = band
-        relaxes = weights.size > 0
+            relaxes = weights.size > 0
         deepest = min(DEEPEST, tiles)
         parts = 2 * ((count + deepest - 1) // deepest)
         piece = np.int64(unroll)  # no constant: `_carefully` would be compiled for each
         for turn in range(times * parts):
-            begun, part = first + turn // parts * count, turn % parts
-            if not parallel and relaxes and part == 0:
-                relax_as_line(road, layout, line, wide, weights)
+            begun, part = first, turn
+            if few:
+                begun, part = first + turn // parts * count, turn % parts
+                if relaxes and part == 0:
+                    relax_as_line(road, layout, line, wide, weights)
             wedge, done = part % 2 == 0, begun + part // 2 * deepest
             headways = min(deepest, begun + count - done)
             if headways > 1 or wedge:
@@ -295,14 +298,14 @@ def _make_sweep(width, hold, kind, unroll, parallel, always, short):
 _sweeps: dict = {}
 
 
-def sweep_even(width: int, hold: int, kind: int, rows: int, parallel=False, always=False, short=False):
+def sweep_even(width: int, hold: int, kind: int, rows: int, parallel=False, always=False, few=False, short=False):
     """The compiled sweep for this width, hold (1, 3, 5), kind of law and rows; `short` as in `even_passages`.
 
-    always: constant softness without lift-off, where nothing need be decided.
+    always: constant softness without lift-off, where nothing need be decided. few: nodes, that relax in between.
     """
     # the bounded law's quotients fill the pipeline from one lane after the other: node by node it is half as fast again
     unroll = PAIRED if rows % PAIRED == 0 and kind != BOUNDED else 1
-    key = width, hold, kind, unroll, parallel, always, short
+    key = width, hold, kind, unroll, parallel, always, few, short
     if key not in _sweeps:
         _sweeps[key] = _make_sweep(*key)
     return _sweeps[key]

@@ -79,7 +79,10 @@ class Relaxation:
         self.acts = acts(scene)
         self.ways: dict = {}  # headways -> relax(road), or a band
         none, empty = np.empty((0, LOW_PASS + 1)), np.empty(0)
-        self.nothing = (0, none, none, empty, self.scratch) if self.parallel else (1, empty, empty, empty)
+        self.few = nodes <= FEW and not self.parallel
+        self.nothing = (1, empty, empty, empty) if self.few else ()
+        if self.parallel:
+            self.nothing = 0, none, none, empty, self.scratch
         self.between: dict = {}  # headways -> what `inside` gives
         self.ripples = None
         self.along = LineRelaxation(scene.road.diffusivity, scene.road.length)
@@ -105,7 +108,7 @@ class Relaxation:
     def inside(self, headways: float) -> tuple | None:
         """Of few nodes, what lets one thread relax the road again and again, before the cars go on: `relax_as_line`'s."""
         if headways not in self.between:
-            few = self.acts and not self.parallel and self.nodes <= FEW
+            few = self.acts and self.few
             way, *given = self.along.way(headways * self.headway_time, self.nodes) if few else (None,)
             wide, weights = given if way is relax_line else (None, None)
             self.between[headways] = None if wide is None else (weights, wide, np.empty(self.nodes))
