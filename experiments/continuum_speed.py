@@ -10,7 +10,8 @@ transforms or by a matrix, whichever is faster on that grid. On a grid, toleranc
 the same; a method is given up, and finer grids with it, at a run that takes longer than 8 s: that run stands as a cross
 at the edge of the chart, with its reason in the data. Times are CPU times of one core, the best of 5 or more after a
 warm-up, ours of 30, of as many scenes, made beforehand as the right-hand sides are, that differ by a rounding, so that no
-run finds what another has left in memory; runs of solve_ivp that take too long for 5 within half a second, and are not
+run finds what another has left in memory (a grid's table of cosines apart, as transforms keep theirs);
+runs of solve_ivp that take too long for 5 within half a second, and are not
 among the fastest to any of the errors compared, within a factor of two, have fewer (`repeats`). The error is that of the
 corrugation: L2 over the road, mean removed, relative. A comparison at equal error takes the fastest run of each that is
 at least as good. Errors of Radau and BDF under bouncing cars change by several times with the last bit of the right-hand

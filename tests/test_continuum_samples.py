@@ -61,6 +61,7 @@ def test_samples_together_are_the_same_bits_as_one_by_one(case, monkeypatch):
     calls.clear()
     alone = taken(case, monkeypatch, 1)
     assert max(calls) == 1
+    assert most > 1 and count < len(calls)
     assert (most > 10 and count < len(calls) - 10) or "batch" in case or "digits" in case, (most, count, len(calls))
     assert [s.time for s in together] == list(CASES[case][1]) and len(alone) == len(together)
     for batch in (None, 100, 7):  # steps a call: where it ends changes nothing

@@ -66,10 +66,10 @@ def even_samples(scene, times, order, first_node, left=None, *, nodes, hold, rel
             chunk = min(stretch, target - done)
             if pace.due():
                 yield Breath(done * scene.headway / speed, leave, heights)
-            times = int(min(most, target - done) // stretch) if pending == stretch / 2 else 0
-            inside = relaxation.inside(stretch) if times > 1 else None
+            often = int(min(most, target - done) // stretch) if pending == stretch / 2 else 0
+            inside = relaxation.inside(stretch) if often > 1 else None
             if inside:
-                crossed, band = times * chunk, (times, *inside)
+                crossed, band = often * chunk, (often, *inside)
             else:
                 crossed, band = chunk, relaxation.ahead(road, pending + chunk / 2)
             cars.cross(road, done, chunk, band, crossed)
