@@ -9,6 +9,7 @@ from test_continuum import BOUNCING, K, dop853, error, ring, run
 
 from traffic_road.laws import Exponential
 from traffic_road.models import continuum_state
+from traffic_road.models.continuum_clip import _root
 from traffic_road.models.continuum_state import Continuum
 from traffic_road.profiles import Heights, Noise, Sine
 from traffic_road.scene import Fleet
@@ -99,6 +100,13 @@ def test_short_flights_wherever_they_are_in_a_cell():
             waves[1, 1] = (1 + excess) / 2 * np.exp(1j * shift)
             expected = by_quadrature(scene, waves[:2], 4, model.frozen)
             assert np.abs(model.remainder(waves) - expected).max() < 1e-12 * model.alpha, (excess, shift)
+
+
+@pytest.mark.parametrize("start", [0.0, 1e-12, 3e-9, 1e-8, 1e-4, 1.0])
+def test_a_root_is_not_taken_for_found_at_a_vertex(start):
+    series = np.zeros((2, 4))
+    series[0, :2] = -0.3, 0.5  # cos - 0.3, flat at 0
+    assert _root(series, 4, -0.1, 3.0, False, start) == pytest.approx(np.arccos(0.3), abs=1e-8)
 
 
 def test_few_waves_carry_the_bouncing_road():
